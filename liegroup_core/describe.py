@@ -217,7 +217,7 @@ def formulation(layout):
                 kept = r in relative.kept_rows(element)
                 entry["rows" if kept else "dropped"].append(name)
     return {
-        "coordinates": int(relative.bodies["freedoms"].sum()),
+        "coordinates": int(relative.links["freedoms"].sum()),
         "tree": [
             {
                 "bodies": list(tree.members[group]),

@@ -159,7 +159,7 @@ class Engine:
         self._grid = StepGrid(self.step)
         self._timetable = Timetable(rows, self._grid, motions)
         self._warnings = Warnings(quiet)
-        self.inputs = Inputs(self.layout, self._grid, self._work.wanted, self._present, self._warnings.late)
+        self.inputs = Inputs(self.layout, self._grid, self._work.targets, self._present, self._warnings.late)
         self.events = JointEvents(self.layout, self._switching)
         self._start = initial_state(self.layout.centred)
         self._block, self._halted = FIRST_BLOCK, False
@@ -691,8 +691,8 @@ class Engine:
         if self.inputs.schedule:
             sample.external = self.inputs.external.copy()
             sample.joint_efforts = self.inputs.schedule.efforts
-        if len(self._work.wanted):
-            sample.wanted = self._work.wanted.copy()
+        if len(self._work.targets):
+            sample.targets = self._work.targets.copy()
         if self._switching is not None:
             sample.switching = self._modes_now() if modes is None else modes
         if len(self._work.motions):
@@ -740,13 +740,13 @@ class Engine:
         """Inputs of reactions besides the state and external wrenches; see Reactions.at."""
         work, modes = self._work, None
         if self._switching is not None:
-            if not self.layout.reactions.take_modes(*self._integrator.links):
+            if not self.layout.reactions.take_modes(*self._integrator.mechanism):
                 modes = self._modes_now()
         acting = work.acting
         if len(acting):
             acting = self._timetable.acting(self._base)
         motions = self.layout.motions_at(self.time, self.inputs.commanded)
-        return work.angle, acting, work.wanted, motions, modes, self.time
+        return work.angle, acting, work.targets, motions, modes, self.time
 
     def energy(self) -> float:
         """Kinetic energy plus potential energy of gravity and springs of the state that `sample` gives, J."""

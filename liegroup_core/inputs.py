@@ -10,7 +10,7 @@ from liegroup_core.fields.arguments import check_name, finite, floats, got, is_f
 from liegroup_core.forces.commands import AXES, CLEAR, EFFORT, MOTION, TARGET, WRENCH, Command, Commands
 from liegroup_core.forces.external import no_wrenches, parts_of_wrench, set_wrench
 from liegroup_core.forces.instants import AFTER
-from liegroup_core.forces.kinds import servos, wanted_values
+from liegroup_core.forces.kinds import servos, target_values
 from liegroup_core.forces.schedule import BODY, DRIVE, IN_WORLD, LEVERS, SERVO, Schedule
 from liegroup_core.joints.motion import at, row_at, through
 
@@ -20,7 +20,7 @@ class Inputs:
 
     layout  : Layout of the scene
     grid    : StepGrid of the steps
-    wanted  : (k, 2) array of the integrator, set to the wanted values of servos that act
+    targets : (k, 2) array of the integrator, set to the targets of servos that act
     present : function that returns the Instant from which on a command may act
     tell    : function that takes a text about a command that came late
 
@@ -34,12 +34,12 @@ class Inputs:
 
     KEPT = ("commands",)
 
-    def __init__(self, layout, grid, wanted, present, tell=None):
+    def __init__(self, layout, grid, targets, present, tell=None):
         self._layout, self._grid, self._present, self._tell = layout, grid, present, tell
         self._bodies = {name: i for i, name in enumerate(layout.body_names)}
         self._drives, self._servos = tuple(layout.motions), tuple(layout.servos)
-        self.schedule = Schedule(len(self._bodies), wanted_values(layout.model.forces), len(self._drives))
-        self.external, self.wanted = no_wrenches(layout.offsets), wanted
+        self.schedule = Schedule(len(self._bodies), target_values(layout.model.forces), len(self._drives))
+        self.external, self.targets = no_wrenches(layout.offsets), targets
         self.commanded = self.schedule.total[DRIVE].copy()
         self.follower, self.log = None, []
 
@@ -50,11 +50,11 @@ class Inputs:
 
     def held(self):
         """Copy of all that acts and waits, exactly, for `give_back`: `commands` know the ends of a clear."""
-        return self.schedule.held(), self.known_end, self.external.copy(), self.wanted.copy(), self.commanded.copy()
+        return self.schedule.held(), self.known_end, self.external.copy(), self.targets.copy(), self.commanded.copy()
 
     def give_back(self, held):
         """Return to what `held` gave."""
-        schedule, self.known_end, self.external[:], self.wanted[:], self.commanded[:] = held
+        schedule, self.known_end, self.external[:], self.targets[:], self.commanded[:] = held
         self.schedule.give_back(schedule)
 
     def freeze(self):
@@ -68,7 +68,7 @@ class Inputs:
             total = self.schedule.total[axes]
             for body in np.flatnonzero(total.any(axis=1)).tolist():
                 set_wrench(self.external, body, total[body], axes)
-        self.wanted[:] = self.schedule.total[SERVO]
+        self.targets[:] = self.schedule.total[SERVO]
         self.commanded[:] = self.schedule.total[DRIVE]
         self._note_ends()
         if self.log:
@@ -225,7 +225,7 @@ class Inputs:
         start: float | Fraction | None = None,
         duration: float | None = None,
     ) -> None:
-        """Command the wanted position and velocity of the servo of a joint.
+        """Command the target position and velocity of the servo of a joint.
 
         joint    : name of a joint with a servo or linear_servo
         position : rad, which may exceed 2 pi, or m
@@ -233,12 +233,12 @@ class Inputs:
         start, duration : as in `apply_wrench`; after its end the values of the scene hold
         Raises ValueError for a joint without a servo, or a number that is not finite, and BeyondLimits,
         a ValueError, for a position or velocity beyond the limits of the joint, or a position to which
-        it cannot jump (joints/limits.py). A servo without stiffness has no wanted position.
+        it cannot jump (joints/limits.py). A servo without stiffness has no target position.
         """
         self._servo(joint)
         for name, value in (("position", position), ("velocity", velocity)):
             if not is_finite(value):
-                raise ValueError(f"a wanted {name} must be a finite number, {got(value)}")
+                raise ValueError(f"a target {name} must be a finite number, {got(value)}")
         self.check_jump(joint, position)
         self._layout.limits[joint].check_velocity(velocity)
         self.set_target(joint, position, velocity, start, duration)
@@ -321,10 +321,10 @@ class Inputs:
         return list(zip(instants, rows))
 
     def check_jump(self, joint, position):
-        """Raise BeyondLimits for a wanted position to which the servo of a joint cannot jump now."""
+        """Raise BeyondLimits for a target position to which the servo of a joint cannot jump now."""
         number = self._servo(joint)
         if servos(self._layout.scene.forces)[number].stiffness > 0.0:
-            before = float(self.wanted[number, 0])
+            before = float(self.targets[number, 0])
             self._layout.limits[joint].check_jump(before, position)
 
     def _drive(self, joint):
@@ -373,9 +373,9 @@ class Inputs:
         return any(self.schedule.total[axes].any() for axes in (BODY, IN_WORLD, LEVERS))
 
     @property
-    def targets(self):
-        """{joint: (position, velocity)} wanted by all servos."""
-        return {joint: tuple(self.wanted[number].tolist()) for joint, number in self._layout.servos.items()}
+    def targets_by_joint(self):
+        """{joint: (position, velocity)}, targets of all servos."""
+        return {joint: tuple(self.targets[number].tolist()) for joint, number in self._layout.servos.items()}
 
     @property
     def motions(self):
@@ -389,7 +389,7 @@ class Inputs:
             self._insert(Command(CLEAR, "", (), 0, None, source), self._present(), AFTER)
 
     def drain_applied(self) -> list[Command]:
-        """Return the inputs since the last call: commands, and new wanted values and motions where they start.
+        """Return the inputs since the last call: commands, and new targets and motions where they start.
 
         If `command.repeat(simulation)` gives them to another simulation of the same scene, the run is bit-identical
         (test/core/test_wrenches.py).
@@ -407,7 +407,7 @@ class Inputs:
         for number, axes in changed:
             total = self.schedule.total[axes][number]
             if axes == SERVO:
-                self.wanted[number] = total
+                self.targets[number] = total
             elif axes == DRIVE:
                 self.commanded[number] = total
             else:

@@ -116,7 +116,7 @@ class Layout:
         if group == RELATIVE:
             couplings = self.relative.couplings
             exact = (couplings["motion"] < 0) & (couplings["curved"] == 0)
-            return len(self.relative.joints) > exact.sum()
+            return len(self.relative.cuts) > exact.sum()
         joints = self.scene.joints
         held = [body for joint in joints for body in (joint.parent, joint.child)]
         return group == "so3xr3" or any(
@@ -189,7 +189,7 @@ class Layout:
 
         def changed(relative):
             return relative.replace(
-                space=model, projects=model.projects and len(relative.joints) > 0, baumgarte_rate=model.baumgarte_rate
+                space=model, projects=model.projects and len(relative.cuts) > 0, baumgarte_rate=model.baumgarte_rate
             )
 
         for name in ("relative", "relative_in_space"):
@@ -262,7 +262,7 @@ class Layout:
 
     @cached_property
     def servos(self):
-        """{joint: number} of the joints with a servo; the number is that of its wanted values."""
+        """{joint: number} of the joints with a servo; the number is that of its targets."""
         return {servo.joint: i for i, servo in enumerate(kinds.servos(self.scene.forces))}
 
     @cached_property
@@ -281,9 +281,9 @@ class Layout:
         return {j.name: limits_of(j, self.size) for j in self.scene.joints if j.type in COUPLED}
 
     @cached_property
-    def wanted(self):
-        """(k, 2) wanted positions and velocities of the servos without a command."""
-        return kinds.wanted_values(self.model.forces)
+    def targets(self):
+        """(k, 2) target positions and velocities of the servos without a command."""
+        return kinds.target_values(self.model.forces)
 
     def motions_at(self, time, commanded=None):
         """(d, 7) motion of each driven joint that holds from a time on; see joints/motion.py.

@@ -26,7 +26,7 @@ def residual(model, found):
 
 def at_stage(simulation, pose=None, twist=None):
     """(model, work) of a Munthe-Kaas method whose stage is a state, by default the simulation's."""
-    model, work = simulation._integrator.links
+    model, work = simulation._integrator.mechanism
     _set_stage(simulation, model, work, pose, twist)
     return model, work
 
@@ -53,17 +53,17 @@ def rows(simulation, pose=None, twist=None):
     for kernel in (move_links, place_links, lift_links, gather_alone, set_all_rows):
         kernel(model, work)
     space = simulation.layout.model
-    J = np.zeros((int(space.elements["rows"].sum()), 6 * len(model.parts)))
+    J = np.zeros((int(space.elements["rows"].sum()), 6 * len(model.bodies)))
     bias = np.zeros(len(J))
-    for joint, owner in zip(model.joints, model.owners):
+    for joint, owner in zip(model.cuts, model.owners):
         of = slice(joint["first"], joint["first"] + joint["rows"])
         first = model.elements["row_start"][joint["element"]]
         where = model.row_residual[of] - first + space.elements["row_start"][owner]
         bias[where] = work.bias[of]
         for link, jacobian in ((joint["child"], work.child_jacobian), (joint["parent"], work.parent_jacobian)):
             if link >= 0:
-                body = int(np.argmax(model.parts["link"] == link))
-                part = model.parts[body]
+                body = int(np.argmax(model.bodies["link"] == link))
+                part = model.bodies[body]
                 own = naive.matrices(np.concatenate([part["rotation"], part["point"]])[None])[0]
                 J[where, 6 * body : 6 * body + 6] = jacobian[of] @ SE3.Ad(own)
     return J, bias
@@ -71,7 +71,7 @@ def rows(simulation, pose=None, twist=None):
 
 def placed(model, work):
     """(pose, twist) of all bodies at the stage."""
-    pose, twist = work.pose[: len(model.parts)].copy(), work.twist[: len(model.parts)].copy()
+    pose, twist = work.pose[: len(model.bodies)].copy(), work.twist[: len(model.bodies)].copy()
     place(model, work, pose, twist)
     return pose, twist
 
@@ -121,7 +121,7 @@ def _of_bodies(model, work, pose):
         links[:, 2:5] = work.moved
         links[:, 3:5] += work.drift
     found = np.zeros((len(pose), 6))
-    for i, part in enumerate(model.parts):
+    for i, part in enumerate(model.bodies):
         if part["link"] >= 0:
             turn, (w, v) = part["rotation"].reshape(3, 3), links[part["link"]].reshape(2, 3)
             found[i, :3], found[i, 3:] = w @ turn, (v + np.cross(w, part["point"])) @ turn

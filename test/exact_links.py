@@ -66,14 +66,14 @@ class Links:
         self._rounding = rounding
         read = Reader(None if rounding is None else np.random.default_rng(rounding))
         model, work = probe._model, probe._work
-        self._links, self._parts = model.bodies, model.parts
+        self._links, self._parts = model.links, model.bodies
         world = [(read.rotation(row[:9].reshape(3, 3)), decimals(row[9:12])) for row in work.world[: len(self._links)]]
         self._fixed = [
             X if a == WORLD else _times(_inverse(world[a]), X) for X, a in zip(world, self._links["parent"].tolist())
         ]
         self._rates = decimals(probe.closed()[0])
         self._places = [
-            (read.rotation(each["rotation"].reshape(3, 3)), decimals(each["point"])) for each in model.parts
+            (read.rotation(each["rotation"].reshape(3, 3)), decimals(each["point"])) for each in model.bodies
         ]
         self._screws = [decimals(_screws(link)) for link in self._links]
 

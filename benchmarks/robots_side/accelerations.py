@@ -23,7 +23,7 @@ class Accelerations:
         engine = self.engine
         engine.set_state(*self.offsets.to_centres(pose, twist))
         engine.advance(0)
-        model, work = engine._integrator.links
+        model, work = engine._integrator.mechanism
         pose, twist, external, status = relative.enter(model, work, *engine.state(), engine.inputs.external)
         assert status == 0
         relative.begin(model, work, pose, twist)
@@ -32,9 +32,9 @@ class Accelerations:
         rates = work.acceleration[:, :1].copy()
         move_links(model, work)
         inverse_dynamics(model, work, rates, np.zeros(len(rates)))
-        found = np.zeros((len(model.parts), 6))
+        found = np.zeros((len(model.bodies), 6))
         flat = engine.state()[0]
-        for i, part in enumerate(model.parts):
+        for i, part in enumerate(model.bodies):
             if part["link"] == WORLD:  # held by a fixed joint
                 continue
             turn, (w, v) = part["rotation"].reshape(3, 3), work.moved[part["link"]].reshape(2, 3)

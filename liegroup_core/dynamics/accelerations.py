@@ -31,7 +31,7 @@ def apply_forces(model, work, external):
     place_bodies(model, work, space.stage_pose, space.stage_twist)
     set_external_wrenches(external, space.stage_pose, work.wrench)
     add_wrenches(
-        model.space.forces, work.angle, work.acting, work.wanted, space.stage_pose, space.stage_twist, work.wrench
+        model.space.forces, work.angle, work.acting, work.targets, space.stage_pose, space.stage_twist, work.wrench
     )
     apply_wrenches(model, work)
 
@@ -41,17 +41,17 @@ def _refine(model, work):
     """Solve for the residual of the equations of motion and add the correction to the accelerations."""
     for f in range(len(work.total)):
         work.total[f, 0] = work.acceleration[f, 0]
-    for b in range(len(model.bodies)):
+    for b in range(len(model.links)):
         for c in range(work.moved.shape[1]):
             work.total_moved[b, c] = work.moved[b, c]
             work.force[b, c] = 0.0
     add_multipliers(model, work)
     gather_residual(model, work)
-    if len(model.joints) > 0:
+    if len(model.cuts) > 0:
         set_residual(model, work)
         close_loops(model, work)
     spread_response(model, work)
-    for b in range(len(model.bodies)):
+    for b in range(len(model.links)):
         for c in range(work.moved.shape[1]):
             work.moved[b, c] += work.total_moved[b, c]
     for f in range(len(work.total)):
@@ -68,7 +68,7 @@ def solve_equations(model, work):
     gather(model, work)
     refinements = model.refinements
     work.report[PIVOT] = 1.0
-    if len(model.joints) > 0:
+    if len(model.cuts) > 0:
         found = set_loops(model, work)
         if found >= 0:
             return found
@@ -118,7 +118,7 @@ def _accelerations_of_stage(model, work, external):
         return -1
     move_links(model, work)
     applied = model.space.forces.exist or work.pushed[0] > 0.0
-    if applied or len(model.joints) > 0:
+    if applied or len(model.cuts) > 0:
         place_links(model, work)
     if applied:
         apply_forces(model, work, external)

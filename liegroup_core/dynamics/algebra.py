@@ -44,7 +44,7 @@ _CALLED += (se2_Ad_inverse, se2_wrench, se3_Ad_inverse, se3_wrench, place, slide
 # Number of components of a twist, and their first column in a row (6) of a Jacobian.
 size, offset = _of("size", "", "return 6", "return 3"), _of("offset", "", "return 0", "return 2")
 # Record of link b.
-link_of = _of("link_of", "b", "return model.bodies[b]", "return model.links[b]")
+link_of = _of("link_of", "b", "return model.links[b]", "return model.plane_links[b]")
 # Whether velocities on the motion group are in world axes.
 is_direct = _of("is_direct", "link", "return in_world_axes(link)", "return False")
 zero = _of("zero", "", "return ZERO3, ZERO3", "return ZERO3")
@@ -83,7 +83,7 @@ relative = _of(
     "relative",
     "work b",
     "return load9(work.relative, b, 0), load3(work.relative, b, 9)",
-    "return place(work.stage_pose, len(model.parts) + b)",
+    "return place(work.stage_pose, len(model.bodies) + b)",
 )
 Ad_inverse = _of("Ad_inverse", "X V", "return se3_Ad_inverse(X[0], X[1], V[0], V[1])", "return se2_Ad_inverse(X, V)")
 wrench_at = _of("wrench_at", "X F", "return se3_wrench(X[0], X[1], F[0], F[1])", "return se2_wrench(X, F)")

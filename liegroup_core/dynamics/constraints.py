@@ -76,10 +76,10 @@ def _largest3(a):
 @kernel
 def is_satisfied(model, work, pose):
     """True if all residuals in work.gap are at round-off level; pose (n, 12)."""
-    for j in range(len(model.joints)):
-        a = model.joints[j]["parent"]
-        b = model.joints[j]["child"]
-        element = model.elements[model.joints[j]["element"]]
+    for j in range(len(model.cuts)):
+        a = model.cuts[j]["parent"]
+        b = model.cuts[j]["child"]
+        element = model.elements[model.cuts[j]["element"]]
         length = (
             _largest3(load3(pose, b, 9))
             + _largest3(element["child_point"])
@@ -88,8 +88,8 @@ def is_satisfied(model, work, pose):
         )
         if a != WORLD:
             length += _largest3(load3(pose, a, 9))
-        for r in range(model.joints[j]["rows"]):
-            row = model.joints[j]["first"] + r
+        for r in range(model.cuts[j]["rows"]):
+            row = model.cuts[j]["first"] + r
             beta = load3(work.child_jacobian, row, 3)
             scale = 1.0 if dot3(beta, beta) == 0.0 else length
             # NaN does not satisfy a constraint.

@@ -56,7 +56,7 @@ _displace, _displace_by_twist, _normalise = map(algebra.of_group, ("displace", "
 @kernel
 def displace_by_twist(model, b, coordinates, screws, at, out):
     """`displace` with Psi in link axes for all groups."""
-    row = len(model.parts) + b
+    row = len(model.bodies) + b
     return _displace_by_twist(model, link_of(model, b), coordinates, row, screws, at, out)
 
 
@@ -67,14 +67,14 @@ def displace(model, b, coordinates, screws, at, out):
     Psi : first column of `screws`, from row `at` on
     returns the squared rotation angle, rad^2
     """
-    row = len(model.parts) + b
+    row = len(model.bodies) + b
     return _displace(model, link_of(model, b), coordinates, row, screws, at, out)
 
 
 @kernel
 def normalise(model, b, coordinates):
     """Project the coordinates of link b back onto the group, which removes round-off."""
-    _normalise(model, link_of(model, b), coordinates, len(model.parts) + b)
+    _normalise(model, link_of(model, b), coordinates, len(model.bodies) + b)
 
 
 @kernel
@@ -96,10 +96,10 @@ def coordinates(model, work, pose, twist):
 
     Uses work.world and work.velocities as scratch memory.
     """
-    n = len(model.parts)
+    n = len(model.bodies)
     world, velocities = work.world, work.velocities
-    for b in range(len(model.bodies)):
-        link = model.bodies[b]
+    for b in range(len(model.links)):
+        link = model.links[b]
         a = link["parent"]
         place = link["coordinates"]
         row = n + b
@@ -109,7 +109,7 @@ def coordinates(model, work, pose, twist):
             w_a, v_a = spatial(model, load(model, velocities, a))
         if place == CROSS:
             # The parent's rotation to the link after the cross is T1 Rz(first) T2 Rz(second).
-            after = model.bodies[b + 1]
+            after = model.links[b + 1]
             _body_of_link(model, after, pose, twist, world, velocities, b + 1)
             rot_2 = matrix3(after["rotation"])
             rot = matmul3(tmatmul3(rot_a, load9(world, b + 1, 0)), transpose3(rot_2))
@@ -150,7 +150,7 @@ def coordinates(model, work, pose, twist):
 @kernel
 def place_links(model, work):
     """Poses in the world of all links at the stage, from their poses in their parents."""
-    for b in range(len(model.bodies)):
+    for b in range(len(model.links)):
         a, X = link_of(model, b)["parent"], relative(model, work, b)
         if a != WORLD:
             X = compose(model, placed(model, work, a), X)
@@ -162,12 +162,12 @@ def place_bodies(model, work, pose, twist):
     """Poses and twists of the bodies, from those of the links."""
     lift_links(model, work)
     world = work.world
-    for i in range(len(model.parts)):
-        part = model.parts[i]
-        b = part["link"]
+    for i in range(len(model.bodies)):
+        body = model.bodies[i]
+        b = body["link"]
         if b == WORLD:
             continue
-        rotation, point = matrix3(part["rotation"]), vector3(part["point"])
+        rotation, point = matrix3(body["rotation"]), vector3(body["point"])
         rot, p = se3_compose(load9(world, b, 0), load3(world, b, 9), rotation, point)
         store9(rot, pose, i, 0)
         store3(p, pose, i, 9)

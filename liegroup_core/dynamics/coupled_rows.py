@@ -45,7 +45,7 @@ def _set_slope(model, work, c):
     term = model.coupling_terms[k]
     slope, bend, _ = slopes_of(model, work, coupling)
     work.factors[k] = -slope * term["sign"]
-    speed = work.stage_twist[len(model.parts) + term["link"], 0]
+    speed = work.stage_twist[len(model.bodies) + term["link"], 0]
     return bend * speed * speed if coupling["order"] == 2 else 0.0
 
 
@@ -61,7 +61,7 @@ def set_slopes(model, work):
 def set_all_rows(model, work):
     """Set the rows of all cut joints and couplings; see rows.set_rows."""
     set_rows(model, work)
-    n = len(model.parts)
+    n = len(model.bodies)
     for c in range(len(model.couplings)):
         coupling = model.couplings[c]
         slip, bias = 0.0, 0.0
@@ -93,7 +93,7 @@ def set_coupled_gaps(model, work, moves, moved):
             term = model.coupling_terms[k]
             q = _coordinate(model, work, term)
             if moved == 1:
-                q += moves[model.bodies[term["link"]]["freedom"], 0]
+                q += moves[model.links[term["link"]]["freedom"], 0]
             value = term["factor"] * q
             terms = abs(value)
             if coupling["curved"] == 1 and k == begin + 1:

@@ -20,13 +20,13 @@ from .algebra import add_to, choice, column, coordinate, link_of, relative, unit
 @kernel
 def link_coordinate(model, b, pose):
     """Angle in [-pi, pi] or displacement of link b: hinge, screw or slide."""
-    return coordinate(model, link_of(model, b), pose, len(model.parts) + b)
+    return coordinate(model, link_of(model, b), pose, len(model.bodies) + b)
 
 
 @kernel
 def link_shift(model, b, pose):
     """Displacement of link b along its axis, for a cylinder; planar models have none."""
-    return pose[len(model.parts) + b, 4]
+    return pose[len(model.bodies) + b, 4]
 
 
 @kernel
@@ -47,7 +47,7 @@ def add_pair(model, work, b, component, value, out, stride):
 @kernel
 def add_rotors(model, work, rates, factor, out):
     """Add the wrenches that the rotors of joints need for rates or accelerations, (f, 1) times a factor."""
-    for b in range(len(model.bodies)):
+    for b in range(len(model.links)):
         link = link_of(model, b)
         if link["rotor"] > 0.0:
             add_pair(model, work, b, 0, link["rotor"] * (factor * rates[link["freedom"], 0]), out, 1)
@@ -92,5 +92,5 @@ def coupled_rate(model, work, rates, at, c):
     begin, end = model.couplings[c]["terms"]
     total = 0.0
     for k in range(begin, end):
-        total += work.factors[k] * rates[at + model.bodies[model.coupling_terms[k]["link"]]["freedom"], 0]
+        total += work.factors[k] * rates[at + model.links[model.coupling_terms[k]["link"]]["freedom"], 0]
     return total

@@ -16,7 +16,7 @@ from liegroup_core.lie.vec3 import ZERO3, cross3, load3, matrix3, matvec3, scale
 @kernel
 def copy_bodies(model, pose, twist, pose_out, twist_out):
     """Write poses and twists of the bodies from the rows of the links."""
-    n = len(model.parts)
+    n = len(model.bodies)
     for i in range(n):
         for c in range(12):
             pose_out[i, c] = pose[n + i, c]
@@ -27,7 +27,7 @@ def copy_bodies(model, pose, twist, pose_out, twist_out):
 @kernel
 def copy_links(model, pose, twist):
     """Write the rows of the links from those of the bodies."""
-    n = len(model.parts)
+    n = len(model.bodies)
     for i in range(n):
         for c in range(12):
             pose[n + i, c] = pose[i, c]
@@ -44,7 +44,7 @@ def accelerations_of_free_bodies(model, work, external):
     space, bodies = work.space, model.space.bodies
     pose, twist = space.stage_pose, space.stage_twist
     copy_bodies(model, work.stage_pose, work.stage_twist, pose, twist)
-    for i in range(len(model.parts)):
+    for i in range(len(model.bodies)):
         w = load3(twist, i, 0)
         gyro_w = cross3(matvec3(matrix3(bodies[i]["inertia"]), w), w)
         gyro_v = cross3(load3(twist, i, 3), w)
@@ -58,9 +58,9 @@ def accelerations_of_free_bodies(model, work, external):
             work.wrench[i, 3 + c] = force[c] + mass * gyro_v[c] + weight[c]
     forces = model.space.forces
     if forces.exist:
-        add_wrenches(forces, work.angle, work.acting, work.wanted, pose, twist, work.wrench)
-    for i in range(len(model.parts)):
-        f = model.bodies[i]["freedom"]
+        add_wrenches(forces, work.angle, work.acting, work.targets, pose, twist, work.wrench)
+    for i in range(len(model.bodies)):
+        f = model.links[i]["freedom"]
         angular = matvec3(matrix3(bodies[i]["inverse_inertia"]), load3(work.wrench, i, 0))
         store_column(angular, work.acceleration, f, 0)
         linear = scale3(bodies[i]["inverse_mass"], load3(work.wrench, i, 3))

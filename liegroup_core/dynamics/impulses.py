@@ -18,7 +18,7 @@ def factor_rows(model, work):
     returns -1, or the joint with dependent rows if the regularised solve fails, too
     """
     gather_alone(model, work)
-    if len(model.joints) == 0:
+    if len(model.cuts) == 0:
         return -1
     lift_links(model, work)
     set_system(model, work)
@@ -34,7 +34,7 @@ def factor_rows(model, work):
 @kernel
 def clear_impulses(model, work):
     """Clear the sum of impulses: work.force, which has the opposite sign, and work.multipliers."""
-    for b in range(len(model.bodies)):
+    for b in range(len(model.links)):
         for c in range(work.force.shape[1]):
             work.force[b, c] = 0.0
     for r in range(len(work.multipliers)):
@@ -58,12 +58,12 @@ def respond_to_impulses(model, work):
     returns twice the energy that the impulses would give the tree at rest, without closed loops
     """
     gather_forces(model, work)
-    if len(model.joints) > 0:
+    if len(model.cuts) > 0:
         apply_multipliers(model, work)
     energy = 0.0
     for f in range(len(work.freedoms)):
         energy += work.freedoms[f, 6] * work.freedoms[f, 7] * work.freedoms[f, 7]
-    if len(model.joints) > 0:
+    if len(model.cuts) > 0:
         set_response_residual(model, work)
         close_loops(model, work)
     spread_response(model, work)
@@ -73,7 +73,7 @@ def respond_to_impulses(model, work):
 @kernel
 def set_rate_changes(model, work, out, row):
     """Write the changes of the rates of all switches to a row of `out`, after respond_to_impulses."""
-    if len(model.joints) > 0:
+    if len(model.cuts) > 0:
         set_response_residual(model, work)
     for k in range(len(model.switches)):
         switch = model.switches[k]

@@ -25,7 +25,7 @@ from .residuals import add_multipliers, add_own_forces
 def _accelerate(model, work, rates):
     """Vdot - gravity of all links for the joint accelerations `rates`, to work.moved."""
     g = load3(model.gravity, 0, 0)
-    for b in range(len(model.bodies)):
+    for b in range(len(model.links)):
         link = link_of(model, b)
         V = without_freedoms(model, work, b, link["parent"], g, 1)
         store(model, add(model, V, column_twist(model, link, rates, link["freedom"])), work.moved, b)
@@ -41,12 +41,12 @@ def inverse_dynamics(model, work, rates, force_out):
     and force. Accuracy: test/core/test_inverse_dynamics.py.
     """
     _accelerate(model, work, rates)
-    for b in range(len(model.bodies)):
+    for b in range(len(model.links)):
         for c in range(size(model)):
             work.force[b, c] = 0.0
     add_multipliers(model, work)
     add_own_forces(model, work)
-    for b in range(len(model.bodies) - 1, -1, -1):
+    for b in range(len(model.links) - 1, -1, -1):
         link, F = link_of(model, b), load(model, work.force, b)
         own_forces(model, link, F, force_out, link["freedom"])
         if link["rotor"] > 0.0:

@@ -36,15 +36,15 @@ def gather_lacking(model, work):
 
     returns the sum of the magnitudes of the terms: weights, and wrenches that single links need
     """
-    for b in range(len(model.bodies)):
+    for b in range(len(model.links)):
         for c in range(work.moved.shape[1]):
             work.force[b, c] = 0.0
     add_multipliers(model, work)
     add_own_forces(model, work)
     g = load3(model.gravity, 0, 0)
     gravity, total = math.sqrt(dot3(g, g)), 0.0
-    for b in range(len(model.bodies)):
-        total += model.bodies[b]["mass"] * gravity
+    for b in range(len(model.links)):
+        total += model.links[b]["mass"] * gravity
         for c in range(work.moved.shape[1]):
             total += abs(work.force[b, c])
     add_rotors(model, work, work.acceleration, 1.0, work.force)
@@ -55,11 +55,11 @@ def gather_lacking(model, work):
 @kernel
 def _bearing_load(model, work, j):
     """Force of cut joint j normal to its axis, N."""
-    joint = model.joints[j]
+    cut = model.cuts[j]
     force = ZERO3
-    for r in range(joint["first"], joint["first"] + joint["rows"]):
+    for r in range(cut["first"], cut["first"] + cut["rows"]):
         force = axpy3(-work.multipliers[r], load3(work.child_jacobian, r, 3), force)
-    turn = model.elements[joint["element"]]["child_rotation"]
+    turn = model.elements[cut["element"]]["child_rotation"]
     axis = (turn[2], turn[5], turn[8])
     across = axpy3(-dot3(force, axis), axis, force)
     return math.sqrt(dot3(across, across))

@@ -59,8 +59,8 @@ def _add_baumgarte(model, work):
 @kernel
 def _subtract_responses(model, work):
     """Subtract y . lambda from u of all degrees of freedom; lambda is in work.right."""
-    for j in range(len(model.joints)):
-        first, rows = model.joints[j]["first"], model.joints[j]["rows"]
+    for j in range(len(model.cuts)):
+        first, rows = model.cuts[j]["first"], model.cuts[j]["rows"]
         at = model.path_places[j]
         for k in range(model.path_ends[j], model.path_ends[j + 1]):
             total = 0.0
@@ -74,7 +74,7 @@ def _subtract_responses(model, work):
 def set_system(model, work):
     """Rows of all cut joints, their responses, and W, for the articulated bodies in `work`."""
     set_all_rows(model, work)
-    for j in range(len(model.joints)):
+    for j in range(len(model.cuts)):
         respond(model, work, j)
     set_shared(model, work)
     return 0
@@ -129,7 +129,7 @@ def project(model, work):
     returns a status: OK, NOT_PROJECTED or DEPENDENT_ROWS + (element of `space` << 8). work.report[PIVOT] is the
     smallest pivot of W there, 0 if a row depends on others
     """
-    n, links = len(model.parts), len(model.bodies)
+    n, links = len(model.bodies), len(model.links)
     for iteration in range(MAX_ITERATIONS + 1):
         move_links(model, work)
         place_links(model, work)
@@ -154,9 +154,9 @@ def project(model, work):
         _subtract_responses(model, work)
         spread_response(model, work)
         for b in range(links):
-            f = model.bodies[b]["freedom"]
+            f = model.links[b]["freedom"]
             if satisfied:
-                for k in range(model.bodies[b]["freedoms"]):
+                for k in range(model.links[b]["freedoms"]):
                     work.stage_twist[n + b, k] += work.acceleration[f + k, 0]
             else:
                 displace_by_twist(model, b, work.stage_pose, work.acceleration, f, work.stage_pose)

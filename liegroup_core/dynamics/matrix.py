@@ -23,7 +23,7 @@ REGULARISATION = 1e-8
 @kernel
 def set_block(model, work, j):
     """Set the diagonal block of W of joint j from its responses."""
-    first, rows = model.joints[j]["first"], model.joints[j]["rows"]
+    first, rows = model.cuts[j]["first"], model.cuts[j]["rows"]
     W, y = work.matrix, work.response
     at = model.path_places[j]
     if rows == 3:
@@ -74,16 +74,16 @@ def _add_three(model, work, start, end, s, r):
 def set_shared(model, work):
     """Set the other blocks of W within its envelope, those of joints that share degrees of freedom."""
     W, y = work.matrix, work.response
-    for j in range(len(model.joints)):
-        first = model.joints[j]["first"]
-        for r in range(first, first + model.joints[j]["rows"]):
+    for j in range(len(model.cuts)):
+        first = model.cuts[j]["first"]
+        for r in range(first, first + model.cuts[j]["rows"]):
             for s in range(model.first_column[r], first):
                 W[s, r] = 0.0
     start = 0
     for k in range(len(model.shared)):
         i, j, end = model.shared[k, 0], model.shared[k, 1], model.shared[k, 2]
-        at_i, at_j = model.joints[i]["first"], model.joints[j]["first"]
-        rows_i, rows_j = model.joints[i]["rows"], model.joints[j]["rows"]
+        at_i, at_j = model.cuts[i]["first"], model.cuts[j]["first"]
+        rows_i, rows_j = model.cuts[i]["rows"], model.cuts[j]["rows"]
         if rows_i == 3 and rows_j == 3:
             _add_three(model, work, start, end, at_j, at_i)
             start = end
@@ -124,9 +124,9 @@ def factor(model, work, shift):
     W, held, smallest = work.matrix, False, 1.0
     for k in range(len(model.switches)):
         held = held or work.held[model.switches[k]["freedom"]] != 0.0
-    for j in range(len(model.joints)):
-        first = model.joints[j]["first"]
-        rows, in_loop = model.joints[j]["rows"], model.joints[j]["in_loop"] == 1
+    for j in range(len(model.cuts)):
+        first = model.cuts[j]["first"]
+        rows, in_loop = model.cuts[j]["rows"], model.cuts[j]["in_loop"] == 1
         for r in range(first, first + rows):
             if is_off(model, work, r):
                 work.diagonal[r] = 0.0

@@ -84,7 +84,7 @@ def pass_inertia(model, work, link, b):
     m = (m[b, 0], m[b, 1], m[b, 2], m[b, 3], m[b, 4], m[b, 5])
     m, F = table.plane_eliminate(link, work, link["freedom"], m, load(model, work.force, b))
     if link["parent"] != WORLD:
-        table.plane_hand_on(link, work, len(model.parts) + b, m, F)
+        table.plane_hand_on(link, work, len(model.bodies) + b, m, F)
 
 
 @kernel
@@ -110,7 +110,7 @@ def acceleration_of(model, work, b, a):
 @kernel
 def leave(model, work, link, b):
     f, F = link["freedom"], load(model, work.force, b)
-    F, y, second, third = table.plane_leave(link, work, f, len(model.parts) + b, F)
+    F, y, second, third = table.plane_leave(link, work, f, len(model.bodies) + b, F)
     work.freedoms[f, 7] = -y
     if link["freedoms"] == 3:
         work.freedoms[f + 1, 7], work.freedoms[f + 2, 7] = -second, -third
@@ -119,7 +119,7 @@ def leave(model, work, link, b):
 
 
 @kernel
-def seen_from(model, work, joint, a, b):
+def seen_from(model, work, cut, a, b):
     child = place(work.placed, b)
     if a == WORLD:
         return se2_inverse(child), ZERO3
@@ -128,7 +128,7 @@ def seen_from(model, work, joint, a, b):
 
 
 @kernel
-def set_variable_row(model, work, joint, X, error):
+def set_variable_row(model, work, cut, X, error):
     """Return 0: all cut joints of planar mechanisms are pairs."""
     return 0.0
 
@@ -142,7 +142,7 @@ def store_parent_row(model, work, X, r):
 
 
 @kernel
-def row_bracket(model, work, joint, a, b, X, V, W, e):
+def row_bracket(model, work, cut, a, b, X, V, W, e):
     """A of the child minus that of the parent, plus [V, W] and omega x e; the rows act on E."""
     ax, ay, w, wa = -model.plane_gravity[0, 0], -model.plane_gravity[0, 1], V[0], W[0]
     if a != WORLD:
@@ -162,7 +162,7 @@ def set_place(model, work, X, b):
 def lift_links(model, work):
     """Write the poses of all links in the world, from those in the plane."""
     axes = load9(model.axes, 0, 0)
-    for b in range(len(model.links)):
+    for b in range(len(model.plane_links)):
         c, s, x, y = place(work.placed, b)
         # Normalise the rotation by one Newton iteration.
         scale = 1.5 - 0.5 * (c * c + s * s)

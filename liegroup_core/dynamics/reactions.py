@@ -78,8 +78,8 @@ def reaction_table(layout):
     coupled = model.coupling >= 0
     of_row = {int(s["row"]): int(s["joint"]) for s in model.switches if s["row"] >= 0}
     owners = []
-    for k, joint in enumerate(model.joints):
-        own = -1 if coupled[k] else of_row.get(int(joint["first"]))
+    for k, cut in enumerate(model.cuts):
+        own = -1 if coupled[k] else of_row.get(int(cut["first"]))
         owners.append(layout.owners[model.owners[k]] if own is None else own)
     return ReactionTable(
         ends=np.array(ends, dtype=np.int64).reshape(-1, 2),
@@ -100,21 +100,21 @@ def _set_lacking(model, work, table, weight, out):
     weight : 1, or 0 without gravity
     """
     poses, first = work.space.stage_pose, len(table.ends)
-    for i in range(len(model.parts)):
-        part, body, rot = model.parts[i], model.space.bodies[i], load9(poses, i, 0)
-        b, turn, at = part["link"], matrix3(part["rotation"]), vector3(part["point"])
+    for i in range(len(model.bodies)):
+        body, solid, rot = model.bodies[i], model.space.bodies[i], load9(poses, i, 0)
+        b, turn, at = body["link"], matrix3(body["rotation"]), vector3(body["point"])
         if b == WORLD:
             g = scale3(weight, tmatvec3(rot, load3(model.gravity, 0, 0)))
             w, v, dw, dv = ZERO3, ZERO3, ZERO3, (-g[0], -g[1], -g[2])
         else:
             w, v = se3_Ad_inverse(turn, at, load3(work.velocities, b, 0), load3(work.velocities, b, 3))
             dw, dv = se3_Ad_inverse(turn, at, load3(work.moved, b, 0), load3(work.moved, b, 3))
-        inertia = matrix3(body["inertia"])
+        inertia = matrix3(solid["inertia"])
         torque = add3(matvec3(inertia, dw), cross3(w, matvec3(inertia, w)))
         dv = add3(dv, cross3(w, v))
         store3(dw, out, first + i, 0)
         store3(dv, out, first + i, 3)
-        force = scale3(body["mass"], dv)
+        force = scale3(solid["mass"], dv)
         torque, force = (sub3(torque, load3(work.wrench, i, 0)), sub3(force, load3(work.wrench, i, 3)))
         store3(matvec3(rot, torque), table.lacking, i, 0)
         store3(matvec3(rot, force), table.lacking, i, 3)
@@ -132,13 +132,13 @@ def _add_at(work, body, torque, force, point, sign, out):
 @kernel
 def _take_cut_joints(model, work, table, out):
     """Write the wrenches of cut joints, world axes about the child's COM; subtract them from table.lacking."""
-    for k in range(len(model.joints)):
-        joint, owner = model.joints[k], table.owners[k]
+    for k in range(len(model.cuts)):
+        cut, owner = model.cuts[k], table.owners[k]
         if owner < 0:
             continue
-        b = joint["child"]
+        b = cut["child"]
         torque, force = ZERO3, ZERO3
-        for r in range(joint["first"], joint["first"] + joint["rows"]):
+        for r in range(cut["first"], cut["first"] + cut["rows"]):
             size = -work.multipliers[r]
             torque = add3(torque, scale3(size, load3(work.child_jacobian, r, 0)))
             force = add3(force, scale3(size, load3(work.child_jacobian, r, 3)))
@@ -157,14 +157,14 @@ def _take_cut_joints(model, work, table, out):
 @kernel
 def _begin(model, work, pose, twist):
     """Set the stage to a state: pose (n, 12), twist (n, 6) of the bodies."""
-    n = len(model.parts)
+    n = len(model.bodies)
     for i in range(n):
         for c in range(12):
             work.pose[i, c] = work.stage_pose[i, c] = work.space.stage_pose[i, c] = pose[i, c]
         for c in range(6):
             work.twist[i, c] = work.stage_twist[i, c] = work.space.stage_twist[i, c] = twist[i, c]
     coordinates(model, work, work.pose, work.twist)
-    for b in range(n, n + len(model.bodies)):
+    for b in range(n, n + len(model.links)):
         for c in range(12):
             work.stage_pose[b, c] = work.pose[b, c]
         for c in range(6):
@@ -255,7 +255,7 @@ def impulse_wrenches(model, work, table, pose, twist, impulses, out):
     returns -1, or the joint with dependent rows if the solve fails
     """
     _begin(model, work, pose, twist)
-    for i in range(len(model.parts)):
+    for i in range(len(model.bodies)):
         for c in range(6):
             work.wrench[i, c] = 0.0
     found = factor_rows(model, work)

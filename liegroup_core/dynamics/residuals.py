@@ -17,7 +17,7 @@ def add_own_forces(model, work):
     It uses the links' own inertias, where articulated inertias are sums of very different numbers. So the
     residual keeps digits that a solve with articulated inertias loses.
     """
-    for b in range(len(model.bodies)):
+    for b in range(len(model.links)):
         link = link_of(model, b)
         F = bias_force(model, work, link, b)
         F = add(model, F, momentum(model, link, load(model, work.moved, b)))
@@ -27,7 +27,7 @@ def add_own_forces(model, work):
 @subroutine
 def gather_forces(model, work):
     """u of all degrees of freedom for the wrenches -work.force (L, s) on the links; work.force is overwritten."""
-    for b in range(len(model.bodies) - 1, -1, -1):
+    for b in range(len(model.links) - 1, -1, -1):
         leave(model, work, link_of(model, b), b)
     return 0
 
@@ -46,10 +46,10 @@ def gather_residual(model, work):
 @kernel
 def add_multipliers(model, work):
     """Add J^T lambda of the cut joints to work.force."""
-    for j in range(len(model.joints)):
-        joint = model.joints[j]
-        a, b = joint["parent"], joint["child"]
-        for r in range(joint["first"], joint["first"] + joint["rows"]):
+    for j in range(len(model.cuts)):
+        cut = model.cuts[j]
+        a, b = cut["parent"], cut["child"]
+        for r in range(cut["first"], cut["first"] + cut["rows"]):
             for c in range(size(model)):
                 at = offset(model) + c
                 work.force[b, c] += work.multipliers[r] * work.child_jacobian[r, at]
@@ -63,11 +63,11 @@ def add_multipliers(model, work):
 @kernel
 def _set_right(model, work):
     """Write J Vdot - bias of the rows at the accelerations in work.moved to work.right."""
-    for j in range(len(model.joints)):
-        joint = model.joints[j]
-        a, b = joint["parent"], joint["child"]
+    for j in range(len(model.cuts)):
+        cut = model.cuts[j]
+        a, b = cut["parent"], cut["child"]
         V = acceleration_of(model, work, b, a)
-        for r in range(joint["first"], joint["first"] + joint["rows"]):
+        for r in range(cut["first"], cut["first"] + cut["rows"]):
             value = product(model, 0.0, work.child_jacobian, r, V)
             if a != WORLD:
                 above = load(model, work.moved, a)
@@ -88,8 +88,8 @@ def set_present_residual(model, work):
 @kernel
 def set_response_residual(model, work):
     """Write the residual of the rows in the response to u, J Vdot - bias, to work.right."""
-    for j in range(len(model.joints)):
-        first, rows = model.joints[j]["first"], model.joints[j]["rows"]
+    for j in range(len(model.cuts)):
+        first, rows = model.cuts[j]["first"], model.cuts[j]["rows"]
         at = model.path_places[j]
         for r in range(first, first + rows):
             work.right[r] = -work.bias[r]
@@ -122,7 +122,7 @@ set_free_residual = choice("set_free_residual", _set_moved_residual, _set_carrie
 def set_residual(model, work):
     """Write the residual of the rows at work.total_moved plus the response to u to work.right."""
     spread_response(model, work)
-    for b in range(len(model.bodies)):
+    for b in range(len(model.links)):
         for c in range(size(model)):
             work.moved[b, c] += work.total_moved[b, c]
     _set_right(model, work)

@@ -34,13 +34,13 @@ from .matrix import set_block
 @kernel
 def set_rows(model, work):
     """Set the rows of all cut joints; write J V to work.slip, and the bias of J Vdot to work.bias."""
-    for j in range(len(model.joints)):
-        joint = model.joints[j]
-        a, b, first, rows = joint["parent"], joint["child"], joint["first"], joint["rows"]
+    for j in range(len(model.cuts)):
+        cut = model.cuts[j]
+        a, b, first, rows = cut["parent"], cut["child"], cut["first"], cut["rows"]
         V = load(model, work.velocities, b)
-        X, W = seen_from(model, work, joint, a, b)
+        X, W = seen_from(model, work, cut, a, b)
         error = sub(model, V, W)
-        rate = set_variable_row(model, work, joint, X, error)
+        rate = set_variable_row(model, work, cut, X, error)
         e = zero(model)
         for r in range(first, first + rows):
             slip = product(model, 0.0, work.child_jacobian, r, error)
@@ -48,7 +48,7 @@ def set_rows(model, work):
             e = add_row(model, e, slip, work.child_jacobian, r)
             if a != WORLD:
                 store_parent_row(model, work, X, r)
-        bracket = row_bracket(model, work, joint, a, b, X, V, W, e)
+        bracket = row_bracket(model, work, cut, a, b, X, V, W, e)
         for r in range(first, first + rows):
             work.bias[r] = -rate - product(model, 0.0, work.child_jacobian, r, bracket)
 
@@ -56,8 +56,8 @@ def set_rows(model, work):
 @kernel
 def _respond_in_space(model, work, j):
     """Responses y of the rows of joint j, along its path to the world, and their block of W."""
-    joint = model.joints[j]
-    a, b, first, rows = joint["parent"], joint["child"], joint["first"], joint["rows"]
+    cut = model.cuts[j]
+    a, b, first, rows = cut["parent"], cut["child"], cut["first"], cut["rows"]
     carried, at = work.carried, model.path_places[j]
     for k in range(model.paths[j, 0], model.paths[j, 1]):
         start = LARGEST_ROWS * model.path_links[k]
@@ -73,7 +73,7 @@ def _respond_in_space(model, work, j):
         add_coupling(model, work, model.coupling[j], 1.0, carried, LARGEST_ROWS)
     for p in range(model.paths[j, 0], model.paths[j, 1]):
         i = model.path_links[p]
-        link = model.bodies[i]
+        link = model.links[i]
         # The rows are independent: a processor works on several at once.
         for r in range(rows):
             # (w, v) stay in registers: a fifth faster.
@@ -92,8 +92,8 @@ def _respond_in_plane(model, work, j):
 
     Writes J E without cut joints, the sums of y u / D, to work.right.
     """
-    joint = model.joints[j]
-    a, b, first, rows = joint["parent"], joint["child"], joint["first"], joint["rows"]
+    cut = model.cuts[j]
+    a, b, first, rows = cut["parent"], cut["child"], cut["first"], cut["rows"]
     begin, end = model.paths[j, 0], model.paths[j, 1]
     carried, U, W = work.carried, work.freedoms, work.matrix
     for start in range(0, rows, 2):
@@ -116,7 +116,7 @@ def _respond_in_plane(model, work, j):
         square, product, other_square = 0.0, 0.0, 0.0
         for k in range(begin, end):
             i = model.path_links[k]
-            link = model.links[i]
+            link = model.plane_links[i]
             f, axis, whole = link["freedom"], column(model, link, 0), link["freedoms"] == 3
             for d in range(f, f + link["freedoms"]):
                 y, z = carried[i, axis + d - f], carried[i, 3 + axis + d - f]

@@ -31,9 +31,9 @@ WEIGHTS = (0.0, 0.75, 0.75, -0.3, -0.3, 0.05, 0.05)
 @kernel
 def begin_aside(model, work):
     """Save the stage and its accelerations; returns d in s, or 0 if no joint turns."""
-    n, fastest = len(model.parts), 0.0
+    n, fastest = len(model.bodies), 0.0
     copy_state(work.stage_pose, work.stage_twist, work.middle_pose, work.middle_twist)
-    for b in range(len(model.bodies)):
+    for b in range(len(model.links)):
         S = rate_twist(model, link_of(model, b), work.stage_twist, n + b)
         for rate in spatial(model, S)[0]:
             fastest = max(fastest, abs(rate))
@@ -47,10 +47,10 @@ def begin_aside(model, work):
 @kernel
 def go_aside(model, work, d):
     """Displace the stage by the time d along the saved velocities and accelerations."""
-    n = len(model.parts)
-    for b in range(len(model.bodies)):
-        f = model.bodies[b]["freedom"]
-        for k in range(model.bodies[b]["freedoms"]):
+    n = len(model.bodies)
+    for b in range(len(model.links)):
+        f = model.links[b]["freedom"]
+        for k in range(model.links[b]["freedoms"]):
             rate = work.middle_twist[n + b, k]
             work.total[f + k, 0] = d * rate
             work.stage_twist[n + b, k] = rate + d * work.middle[f + k, 0]

@@ -48,8 +48,8 @@ def bias_force(model, work, link, b):
 @kernel
 def body_wrench(model, work, i):
     """Wrench on body i, in the axes of its link."""
-    part = model.parts[i]
-    rot, p = matrix3(part["rotation"]), vector3(part["point"])
+    body = model.bodies[i]
+    rot, p = matrix3(body["rotation"]), vector3(body["point"])
     return se3_wrench(rot, p, load3(work.wrench, i, 0), load3(work.wrench, i, 3))
 
 
@@ -62,7 +62,7 @@ def apply(model, work, b, F):
 @kernel
 def move_link(model, work, link, b, S):
     """Twist of a link with rates S qdot at the stage; its pose in its parent, and [V, S qdot]."""
-    rot, p = table.relative_pose(link, work.stage_pose, len(model.parts) + b)
+    rot, p = table.relative_pose(link, work.stage_pose, len(model.bodies) + b)
     store9(rot, work.relative, b, 0)
     store3(p, work.relative, b, 9)
     V, bracket = S, (ZERO3, ZERO3)
@@ -153,16 +153,16 @@ def leave(model, work, link, b):
 
 
 @kernel
-def seen_from(model, work, joint, a, b):
+def seen_from(model, work, cut, a, b):
     """Pose of the parent a of a cut joint in its child b, and the twist of a in the axes of b."""
     rot_b, r_b = load9(work.world, b, 0), load3(work.world, b, 9)
     if a == WORLD:
         return se3_inverse(rot_b, r_b), (ZERO3, ZERO3)
     rot = tmatmul3(rot_b, load9(work.world, a, 0))
     p = tmatvec3(rot_b, sub3(load3(work.world, a, 9), r_b))
-    if joint["own_points"] == 1:
+    if cut["own_points"] == 1:
         # Shift the parent by the gap, so that its joint point coincides with that of the child.
-        element = model.elements[joint["element"]]
+        element = model.elements[cut["element"]]
         point = matvec3(rot, vector3(element["parent_point"]))
         p = sub3(vector3(element["child_point"]), point)
     w, v = load(model, work.velocities, a)
@@ -170,13 +170,13 @@ def seen_from(model, work, joint, a, b):
 
 
 @kernel
-def set_variable_row(model, work, joint, X, error):
+def set_variable_row(model, work, cut, X, error):
     """Write the row of an element that is not a pair; returns the bias term Jdot_b (V_b - W)."""
-    if joint["kind"] == PAIR:
+    if cut["kind"] == PAIR:
         return 0.0
-    element = model.elements[joint["element"]]
+    element = model.elements[cut["element"]]
     row_w, row_v, rate = variable_row(element, X[0], X[1], error[0], error[1])
-    store(model, (row_w, row_v), work.child_jacobian, joint["first"])
+    store(model, (row_w, row_v), work.child_jacobian, cut["first"])
     return rate
 
 
@@ -191,10 +191,10 @@ def store_parent_row(model, work, X, r):
 
 
 @kernel
-def row_bracket(model, work, joint, a, b, X, V, W, e):
+def row_bracket(model, work, cut, a, b, X, V, W, e):
     """[V, W] + omega x e; -J times it is the bias. V, W: twists of child b and parent a."""
     turn = V[0]
-    if a != WORLD and joint["own_points"] == 1:
+    if a != WORLD and cut["own_points"] == 1:
         turn = add3(V[0], W[0])
     w, v = se3_ad(V[0], V[1], W[0], W[1])
     return w, add3(v, cross3(turn, e[1]))

@@ -63,14 +63,14 @@ def leave(model, work, pose, twist, pose_out, twist_out):
 @kernel
 def begin(model, work, pose, twist):
     """Set stage 0 to the state."""
-    n = len(model.parts)
-    for b in range(len(model.bodies)):
+    n = len(model.bodies)
+    for b in range(len(model.links)):
         for k in range(12):
             work.stage_pose[n + b, k] = pose[n + b, k]
         for k in range(6):
             work.velocity[b, k] = twist[n + b, k]
             work.stage_twist[n + b, k] = twist[n + b, k]
-        if is_direct(model, model.bodies[b]):
+        if is_direct(model, model.links[b]):
             store3(to_world(pose, n + b, load3(twist, n + b, 3)), work.velocity, b, 3)
 
 

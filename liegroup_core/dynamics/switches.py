@@ -117,7 +117,7 @@ def set_rates(model, work, out):
         switch = model.switches[k]
         r = switch["row"]
         if r < 0:
-            out[k, 0] = work.stage_twist[len(model.parts) + switch["link"], switch["component"]]
+            out[k, 0] = work.stage_twist[len(model.bodies) + switch["link"], switch["component"]]
             out[k, 1] = work.acceleration[switch["freedom"], 0]
         else:
             out[k, 0], out[k, 1] = work.slip[r], work.right[r]
@@ -183,7 +183,7 @@ def _effort(model, work, k, rate):
 @kernel
 def apply_switches(model, work):
     """Apply friction and compliant stops of freedoms to the links at the stage."""
-    n = len(model.parts)
+    n = len(model.bodies)
     for k in range(len(model.switches)):
         switch = model.switches[k]
         b, component = switch["link"], switch["component"]

@@ -29,9 +29,9 @@ from .links import accelerated, apply, body_wrench, move_link, pass_inertia, sta
 @kernel
 def move_links(model, work):
     """Relative poses, twists V and [V, S qdot] of all links at the stage; no applied wrenches."""
-    for b in range(len(model.bodies)):
+    for b in range(len(model.links)):
         link = link_of(model, b)
-        S = rate_twist(model, link, work.stage_twist, len(model.parts) + b)
+        S = rate_twist(model, link, work.stage_twist, len(model.bodies) + b)
         store(model, move_link(model, work, link, b, S), work.velocities, b)
         store(model, zero(model), work.applied, b)
 
@@ -39,8 +39,8 @@ def move_links(model, work):
 @kernel
 def apply_wrenches(model, work):
     """Add the wrenches on the bodies, work.wrench, to work.applied."""
-    for i in range(len(model.parts)):
-        b = model.parts[i]["link"]
+    for i in range(len(model.bodies)):
+        b = model.bodies[i]["link"]
         if b != WORLD:
             apply(model, work, b, body_wrench(model, work, i))
 
@@ -48,9 +48,9 @@ def apply_wrenches(model, work):
 @kernel
 def gather(model, work):
     """Articulated inertias and bias forces for work.applied, from the leaves to the world."""
-    for b in range(len(model.bodies)):
+    for b in range(len(model.links)):
         start(model, work, link_of(model, b), b)
-    for b in range(len(model.bodies) - 1, -1, -1):
+    for b in range(len(model.links) - 1, -1, -1):
         pass_inertia(model, work, link_of(model, b), b)
 
 
@@ -62,7 +62,7 @@ def _spread(model, work, gx, gy, gz, drift):
     drift      : 1 with the terms [V, S qdot], 0 without: response to forces alone
     writes work.acceleration, and Vdot - gravity of the links to work.moved
     """
-    for b in range(len(model.bodies)):
+    for b in range(len(model.links)):
         V = accelerated(model, work, link_of(model, b), b, (gx, gy, gz), drift)
         store(model, V, work.moved, b)
     return 0

@@ -29,9 +29,9 @@ def _pivot_aside(model, work, pose, twist, external, rates, turn):
     enter(model, work, pose, twist, external)
     begin(model, work, work.pose, work.twist)
     if turn != 0.0:
-        for b in range(len(model.bodies)):
+        for b in range(len(model.links)):
             for k in range(6):
-                work.stage_twist[len(model.parts) + b, k] = rates[b, k]
+                work.stage_twist[len(model.bodies) + b, k] = rates[b, k]
         if project(model, work) != OK:
             return 0.0
         for f in range(len(work.freedoms)):
@@ -45,13 +45,13 @@ def with_usual_pivot(model, pose, twist, angles):
 
     pose, twist, angles : of the bodies and of unwrapped angles at the start
     """
-    if not len(model.joints):
+    if not len(model.cuts):
         return model
     space = make_work(model.space, 1)
     work, external = make_relative_work(model, space, 1), np.zeros((len(pose), COLUMNS))
     pivot, rng, found = SameTypes(_pivot_aside), np.random.default_rng(0), LEAST
     for turn in TURNS:
         work.angle[:] = angles
-        rates = rng.normal(size=(len(model.bodies), 6))
+        rates = rng.normal(size=(len(model.links), 6))
         found = max(found, float(pivot(model, work, pose, twist, external, rates, turn)))
     return model.replace(usual_pivot=min(found, 1.0))

@@ -62,10 +62,10 @@ def respond(model, work, out, mobility, open_mobility):
 @stepper
 def change_rates(model, work, changes, pose_out, twist_out):
     """Add `changes` (f,) to the rates of all degrees of freedom; those of held ones become zero."""
-    n = len(model.parts)
-    for b in range(len(model.bodies)):
-        f = model.bodies[b]["freedom"]
-        for k in range(model.bodies[b]["freedoms"]):
+    n = len(model.bodies)
+    for b in range(len(model.links)):
+        f = model.links[b]["freedom"]
+        for k in range(model.links[b]["freedoms"]):
             held = work.held[f + k] != 0.0
             work.twist[n + b, k] = 0.0 if held else work.twist[n + b, k] + changes[f + k]
     leave(model, work, work.pose, work.twist, pose_out, twist_out)

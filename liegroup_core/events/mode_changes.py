@@ -117,7 +117,7 @@ class ModeChanges:
 
     def _stop(self, switches):
         """Set the rates of these switches, except rows, to exactly zero."""
-        links, n = self._model.switches["link"], len(self._model.parts)
+        links, n = self._model.switches["link"], len(self._model.bodies)
         for k in switches:
             if not self._is_row[k]:
                 row, component = n + links[k], self._model.switches["component"][k]

@@ -183,15 +183,15 @@ class Switching(EventTimes):
 
     def _note_inputs(self, external):
         work = self._work
-        self._inputs = (external.copy(), work.acting.copy(), work.wanted.copy(), work.motions.copy())
+        self._inputs = (external.copy(), work.acting.copy(), work.targets.copy(), work.motions.copy())
 
     def _same(self, external):
         """Whether the inputs are those for which the modes were found."""
         work = self._work
-        inputs = external, work.acting, work.wanted, work.motions
+        inputs = external, work.acting, work.targets, work.motions
         last = self._inputs
         if self._lead.known:
-            last = work.lead_external, work.lead_acting, work.lead_wanted, work.lead_motions
+            last = work.lead_external, work.lead_acting, work.lead_targets, work.lead_motions
         return last is not None and all(map(np.array_equal, inputs, last))
 
     def _meet_inputs(self, time, state):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Commands that act on a run from one time to another: wrenches, efforts, wanted values, motions.
+"""Commands that act on a run from one time to another: wrenches, efforts, targets, motions.
 
 A Command is what was asked for, with all that repeats it: it is what a run logs, records, keeps in its state and
 passes to the companion of its error estimate.

@@ -117,7 +117,7 @@ def servos(described):
     return [force for kind in ("servo", "linear_servo") for force in described if force.type == kind]
 
 
-def wanted_values(forces):
+def target_values(forces):
     """Target position and velocity (k, 2) of all servos without a command."""
     rows = [(row["position"], row["velocity"]) for row in (*forces.servo, *forces.linear_servo)]
     return np.array(rows, dtype=float).reshape(-1, 2)
@@ -134,12 +134,12 @@ def count_of_angles(forces):
 
 
 @kernel
-def add_wrenches(forces, angle, acting, wanted, pose, twist, wrench_out):
+def add_wrenches(forces, angle, acting, targets, pose, twist, wrench_out):
     """Add the wrenches of all forces to wrench_out (n, 6).
 
     angle  : (k,) rad, the unwrapped angles after the last step
     acting : (k,) mask of the applied wrenches that act
-    wanted : (k, 2) target position and velocity of each servo
+    targets : (k, 2) target position and velocity of each servo
     pose (n, 12), twist (n, 6)
     """
     if forces.exist:
@@ -147,7 +147,7 @@ def add_wrenches(forces, angle, acting, wanted, pose, twist, wrench_out):
             forces,
             borrowed(angle),
             borrowed(acting),
-            borrowed(wanted),
+            borrowed(targets),
             borrowed(pose),
             borrowed(twist),
             borrowed(wrench_out),
@@ -155,35 +155,35 @@ def add_wrenches(forces, angle, acting, wanted, pose, twist, wrench_out):
 
 
 @shared
-def _add_wrenches(forces, angle, acting, wanted, pose, twist, wrench_out):
+def _add_wrenches(forces, angle, acting, targets, pose, twist, wrench_out):
     spring_damper.add_wrench(forces.spring_damper, pose, twist, wrench_out)
     torsional_spring_damper.add_wrench(forces.torsional_spring_damper, angle, pose, twist, wrench_out)
     linear_spring_damper.add_wrench(forces.linear_spring_damper, pose, twist, wrench_out)
     motor.add_wrench(forces.motor, pose, twist, wrench_out)
     linear_motor.add_wrench(forces.linear_motor, pose, twist, wrench_out)
-    servo.add_wrench(forces.servo, angle, wanted, pose, twist, wrench_out)
-    linear_servo.add_wrench(forces.linear_servo, wanted, pose, twist, wrench_out)
+    servo.add_wrench(forces.servo, angle, targets, pose, twist, wrench_out)
+    linear_servo.add_wrench(forces.linear_servo, targets, pose, twist, wrench_out)
     drag.add_wrench(forces.drag, twist, wrench_out)
     applied_wrench.add_wrench(forces.applied_wrench, acting, pose, wrench_out)
     return 0
 
 
 @shared
-def add_changes(forces, angle, acting, wanted, pose, twist, moves, rates, targets, at, wrench_out):
+def add_changes(forces, angle, acting, targets, pose, twist, moves, rates, shifts, at, wrench_out):
     """Add the derivatives of the wrenches along displacements, and changes of twists and targets: see changes.py.
 
-    targets : changes of the targets of all servos, from row `at` on
+    shifts : changes of the targets of all servos, from row `at` on
     """
-    angle, acting, wanted = borrowed(angle), borrowed(acting), borrowed(wanted)
+    angle, acting, targets = borrowed(angle), borrowed(acting), borrowed(targets)
     pose, twist, moves, rates = borrowed(pose), borrowed(twist), borrowed(moves), borrowed(rates)
-    targets, wrench_out = borrowed(targets), borrowed(wrench_out)
+    shifts, wrench_out = borrowed(shifts), borrowed(wrench_out)
     spring_damper.add_change(forces.spring_damper, pose, twist, moves, rates, wrench_out)
     torsional_spring_damper.add_change(forces.torsional_spring_damper, angle, pose, twist, moves, rates, wrench_out)
     linear_spring_damper.add_change(forces.linear_spring_damper, pose, twist, moves, rates, wrench_out)
     motor.add_change(forces.motor, pose, twist, moves, rates, wrench_out)
     linear_motor.add_change(forces.linear_motor, pose, twist, moves, rates, wrench_out)
-    servo.add_change(forces.servo, angle, wanted, pose, twist, moves, rates, targets, at, wrench_out)
-    linear_servo.add_change(forces.linear_servo, wanted, pose, twist, moves, rates, targets, at, wrench_out)
+    servo.add_change(forces.servo, angle, targets, pose, twist, moves, rates, shifts, at, wrench_out)
+    linear_servo.add_change(forces.linear_servo, targets, pose, twist, moves, rates, shifts, at, wrench_out)
     drag.add_change(forces.drag, twist, rates, wrench_out)
     applied_wrench.add_change(forces.applied_wrench, acting, pose, moves, wrench_out)
     return 0
@@ -200,32 +200,32 @@ def energy(forces, angle, pose):
 
 
 @kernel
-def powers(forces, angle, acting, wanted, pose, twist):
+def powers(forces, angle, acting, targets, pose, twist):
     """Powers of the non-conservative forces by POWERS, W."""
     return (
         spring_damper.power(forces.spring_damper, pose, twist)
         + torsional_spring_damper.power(forces.torsional_spring_damper, pose, twist)
         + linear_spring_damper.power(forces.linear_spring_damper, pose, twist),
         motor.power(forces.motor, pose, twist) + linear_motor.power(forces.linear_motor, pose, twist),
-        servo.power(forces.servo, angle, wanted, pose, twist)
-        + linear_servo.power(forces.linear_servo, wanted, pose, twist),
+        servo.power(forces.servo, angle, targets, pose, twist)
+        + linear_servo.power(forces.linear_servo, targets, pose, twist),
         drag.power(forces.drag, twist),
         applied_wrench.power(forces.applied_wrench, acting, pose, twist),
     )
 
 
 @kernel
-def power(forces, angle, acting, wanted, pose, twist):
+def power(forces, angle, acting, targets, pose, twist):
     """Power of the non-conservative forces, W: the rate of the mechanical energy."""
-    dampers, motors, servos, drags, wrenches = powers(forces, angle, acting, wanted, pose, twist)
+    dampers, motors, servos, drags, wrenches = powers(forces, angle, acting, targets, pose, twist)
     return dampers + motors + servos + drags + wrenches
 
 
 @kernel
-def servo_efforts(forces, angle, wanted, pose, twist, out):
+def servo_efforts(forces, angle, targets, pose, twist, out):
     """Write effort and rate of each servo to out (k, 2); arguments as for `add_wrenches`."""
-    servo.efforts(forces.servo, angle, wanted, pose, twist, out)
-    linear_servo.efforts(forces.linear_servo, wanted, pose, twist, out)
+    servo.efforts(forces.servo, angle, targets, pose, twist, out)
+    linear_servo.efforts(forces.linear_servo, targets, pose, twist, out)
 
 
 @kernel

@@ -41,43 +41,43 @@ def _effort(row, position, velocity, pose, twist):
 
 
 @kernel
-def add_wrench(rows, wanted, pose, twist, wrench_out):
-    """Add the wrenches of all rows; wanted : (k, 2) targets of all servos, the last ones are of these rows."""
-    first = len(wanted) - len(rows)
+def add_wrench(rows, targets, pose, twist, wrench_out):
+    """Add the wrenches of all rows; targets : (k, 2) targets of all servos, the last ones are of these rows."""
+    first = len(targets) - len(rows)
     for e in range(len(rows)):
-        force = _effort(rows[e], wanted[first + e, 0], wanted[first + e, 1], pose, twist)
+        force = _effort(rows[e], targets[first + e, 0], targets[first + e, 1], pose, twist)
         slide.apply(rows[e], pose, force, wrench_out)
 
 
 @kernel
-def efforts(rows, wanted, pose, twist, out):
+def efforts(rows, targets, pose, twist, out):
     """Write forces and joint velocities to the last rows of out (k, 2)."""
-    first = len(wanted) - len(rows)
+    first = len(targets) - len(rows)
     for e in range(len(rows)):
         row = rows[e]
-        out[first + e, 0] = _effort(row, wanted[first + e, 0], wanted[first + e, 1], pose, twist)
+        out[first + e, 0] = _effort(row, targets[first + e, 0], targets[first + e, 1], pose, twist)
         out[first + e, 1] = slide.rate(row, pose, twist)
 
 
 @kernel
-def power(rows, wanted, pose, twist):
-    """Power sum force * sdot of the servos, W; wanted as for `add_wrench`."""
-    total, first = 0.0, len(wanted) - len(rows)
+def power(rows, targets, pose, twist):
+    """Power sum force * sdot of the servos, W; targets as for `add_wrench`."""
+    total, first = 0.0, len(targets) - len(rows)
     for e in range(len(rows)):
-        force = _effort(rows[e], wanted[first + e, 0], wanted[first + e, 1], pose, twist)
+        force = _effort(rows[e], targets[first + e, 0], targets[first + e, 1], pose, twist)
         total += force * slide.rate(rows[e], pose, twist)
     return total
 
 
 @kernel
-def add_change(rows, wanted, pose, twist, moves, rates, targets, at, wrench_out):
+def add_change(rows, targets, pose, twist, moves, rates, shifts, at, wrench_out):
     """Add the changes of the wrenches along displacements, see changes.py.
 
-    targets : changes of the targets of all servos, from row `at` on; the last ones are of these rows
+    shifts : changes of the targets of all servos, from row `at` on; the last ones are of these rows
     """
-    first = len(wanted) - len(rows)
+    first = len(targets) - len(rows)
     for e in range(len(rows)):
         row, own = rows[e], at + first + e
-        force = _effort(row, wanted[first + e, 0], wanted[first + e, 1], pose, twist)
-        k, c, given = gains(row, force, targets[own, 0], targets[own, 1])
+        force = _effort(row, targets[first + e, 0], targets[first + e, 1], pose, twist)
+        k, c, given = gains(row, force, shifts[own, 0], shifts[own, 1])
         slide.add_change(row, pose, twist, moves, rates, force, k, c, given, wrench_out)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Schedule of commands: external wrenches, efforts of joints, wanted values of servos, motions of driven joints.
+"""Schedule of commands: external wrenches, efforts of joints, targets of servos, motions of driven joints.
 
 A source applies at most one wrench to a body. A later wrench of the same source replaces the earlier one at its
 start; a zero wrench ends it. Wrenches of different sources add. A wrench is constant in body axes or in world axes
@@ -57,15 +57,15 @@ def _by_start(entry):
 class Schedule:
     """Commands that act, and those that start later.
 
-    wanted : (k, 2) target position and velocity of each servo without a command
+    targets : (k, 2) target position and velocity of each servo without a command
     drives : number of driven joints
     total  : {axes: rows} sums of what acts: "body", "world" (n, 6), "levers" (n, 9), "servo" (k, 2), and "drive"
              (d, 7), commanded motions or FROM_SCENE
     """
 
-    def __init__(self, body_count, wanted=np.zeros((0, 2)), drives=0):
+    def __init__(self, body_count, targets=np.zeros((0, 2)), drives=0):
         self._idle = {BODY: np.zeros((body_count, 6)), IN_WORLD: np.zeros((body_count, 6))}
-        self._idle |= {LEVERS: np.zeros((body_count, 9)), SERVO: wanted, DRIVE: np.tile(FROM_SCENE, (drives, 1))}
+        self._idle |= {LEVERS: np.zeros((body_count, 9)), SERVO: targets, DRIVE: np.tile(FROM_SCENE, (drives, 1))}
         self.clear_all()
 
     def clear_all(self):

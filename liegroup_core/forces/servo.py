@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Servo about the z axis of a joint: a drive with a target angle and a target rate.
 
-    torque on the child  k (theta_wanted - theta) + c (thetadot_wanted - thetadot), within +- limit
-The angle theta is unwrapped (turn.py). The target (wanted) values come from the scene or from commands.
+    torque on the child  k (theta_target - theta) + c (thetadot_target - thetadot), within +- limit
+The angle theta is unwrapped (turn.py). The targets come from the scene or from commands.
 Commands are constant between two instants of the schedule.
 """
 
@@ -71,50 +71,50 @@ def _effort(row, near, position, velocity, pose, twist, n):
 
 
 @kernel
-def add_wrench(rows, angle, wanted, pose, twist, wrench_out):
+def add_wrench(rows, angle, targets, pose, twist, wrench_out):
     """Add the torques of all rows.
 
     angle  : all unwrapped angles after the last step, rad; the last ones are those of these rows
-    wanted : (k, 2) target position and velocity of all servos; the first ones are those of these rows
+    targets : (k, 2) target position and velocity of all servos; the first ones are those of these rows
     """
     first = len(angle) - len(rows)
     for e in range(len(rows)):
         n = turn.axis(rows[e], pose)
-        torque = _effort(rows[e], angle[first + e], wanted[e, 0], wanted[e, 1], pose, twist, n)
+        torque = _effort(rows[e], angle[first + e], targets[e, 0], targets[e, 1], pose, twist, n)
         turn.apply(rows[e], pose, n, torque, wrench_out)
 
 
 @kernel
-def efforts(rows, angle, wanted, pose, twist, out):
+def efforts(rows, angle, targets, pose, twist, out):
     """Write torques and joint velocities to out (k, 2)."""
     first = len(angle) - len(rows)
     for e in range(len(rows)):
         n = turn.axis(rows[e], pose)
-        out[e, 0] = _effort(rows[e], angle[first + e], wanted[e, 0], wanted[e, 1], pose, twist, n)
+        out[e, 0] = _effort(rows[e], angle[first + e], targets[e, 0], targets[e, 1], pose, twist, n)
         out[e, 1] = turn.rate(rows[e], pose, twist, n)
 
 
 @kernel
-def power(rows, angle, wanted, pose, twist):
+def power(rows, angle, targets, pose, twist):
     """Power sum torque * thetadot of the servos, W; arguments as for `add_wrench`."""
     total, first = 0.0, len(angle) - len(rows)
     for e in range(len(rows)):
         n = turn.axis(rows[e], pose)
-        torque = _effort(rows[e], angle[first + e], wanted[e, 0], wanted[e, 1], pose, twist, n)
+        torque = _effort(rows[e], angle[first + e], targets[e, 0], targets[e, 1], pose, twist, n)
         total += torque * turn.rate(rows[e], pose, twist, n)
     return total
 
 
 @kernel
-def add_change(rows, angle, wanted, pose, twist, moves, rates, targets, at, wrench_out):
+def add_change(rows, angle, targets, pose, twist, moves, rates, shifts, at, wrench_out):
     """Add the changes of the torques along displacements, see changes.py.
 
-    targets : changes of the targets of all servos, from row `at` on
+    shifts : changes of the targets of all servos, from row `at` on
     """
     first = len(angle) - len(rows)
     for e in range(len(rows)):
         row = rows[e]
         n = turn.axis(row, pose)
-        torque = _effort(row, angle[first + e], wanted[e, 0], wanted[e, 1], pose, twist, n)
-        k, c, given = gains(row, torque, targets[at + e, 0], targets[at + e, 1])
+        torque = _effort(row, angle[first + e], targets[e, 0], targets[e, 1], pose, twist, n)
+        k, c, given = gains(row, torque, shifts[at + e, 0], shifts[at + e, 1])
         turn.add_change(row, pose, twist, moves, rates, n, torque, k, c, given, wrench_out)

@@ -146,11 +146,11 @@ class Machine:
         self.probe = Probe(self.engine, in_space=in_space)
         self.layout, self.log = self.engine.layout, log
         inputs = InputChannels(self.probe, [each.name for each in log.inputs])
-        self._wrenches, self._targets = inputs.changes(0)
-        self._wanted = self.probe.wanted.copy()
+        self._wrenches, self._shifts = inputs.changes(0)
+        self._targets = self.probe.targets.copy()
         for k, name in enumerate(inputs.names):  # a target replaces that of the scene
             if name.rpartition(".")[2] in ("target", "target_velocity"):
-                self._wanted[self._targets[k] != 0.0] = 0.0
+                self._targets[self._shifts[k] != 0.0] = 0.0
         self.outputs = [OutputChannels(self.probe, each.channels, turns) for each in log.measured]
         self.turns, self._rubbing = self.outputs[0].turns, _friction(scene, log)
         self._changes = 0.0, np.zeros(0)
@@ -286,7 +286,7 @@ class Machine:
         wrenches = base + np.tensordot(segment.inputs, self._wrenches, 1)
         if extra is not None:
             wrenches += extra
-        targets = self._wanted + np.tensordot(segment.inputs, self._targets, 1)
+        targets = self._targets + np.tensordot(segment.inputs, self._shifts, 1)
         counts = np.maximum(1, np.ceil(np.diff(segment.times) / self.longest - 1e-9)).astype(int) << halves
         places = np.full(count + 1, -1)
         places[seen] = np.arange(len(seen))
@@ -310,7 +310,7 @@ class Machine:
     def _along(self, segment, counts, places, path):
         """Run through the parts of a Segment, compiled from one change of stops or friction to the next; a status."""
         engine, work, times = self.engine, self.engine._work, segment.times
-        n, m, s, d = len(engine._pose), len(counts), len(work.wanted), len(work.motions)
+        n, m, s, d = len(engine._pose), len(counts), len(work.targets), len(work.motions)
         motions = self.layout.motions_along(SHIFT + times[:-1] + 0.5 * np.diff(times)).reshape(-1, COLUMNS)
         motions[:, 0] -= SHIFT  # compiled parts have the times of the log, which are more exact
         wrenches, targets = path.wrenches.reshape(m * n, path.wrenches.shape[2]), path.targets.reshape(-1, 2)
@@ -327,7 +327,7 @@ class Machine:
             if status == EVENT:
                 self._keep(segment, k, places[k], path)
                 size = float((times[k + 1] - times[k]) / counts[k])
-                state[2][:], work.wanted[:] = path.wrenches[k], path.targets[k]
+                state[2][:], work.targets[:] = path.wrenches[k], path.targets[k]
                 _, status = engine._integrate(segment.instants[k], size, int(counts[k]), segment.instants[k + 1])
                 k += 1
             if status != OK:
@@ -347,7 +347,7 @@ class Machine:
         switching = engine._switching
         if switching is None or switching.are_known and not switching.any_at_rest:
             return last
-        engine.inputs.external[:], work.wanted[:] = path.wrenches[k], path.targets[k]
+        engine.inputs.external[:], work.targets[:] = path.wrenches[k], path.targets[k]
         if len(work.motions) or not switching.is_settled(engine.inputs.external):
             return k
         return min(last, int(path.changes[np.searchsorted(path.changes, k, side="right")]))
@@ -409,7 +409,7 @@ class Path:
         if len(self.wrenches):
             found.external = self.wrenches[part]
             if self.targets.shape[1]:
-                found.wanted = self.targets[part]
+                found.targets = self.targets[part]
         if engine._switching is not None:
             found.switching = self.modes[k]
         if len(engine._work.motions):

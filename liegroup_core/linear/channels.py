@@ -66,21 +66,21 @@ class InputChannels:
 
     def starting(self, rates):
         """(k,) changes of the inputs after which servos want given {joint: rate}, so that these do not saturate."""
-        u, wanted = np.zeros(len(self)), self._probe.wanted
+        u, targets = np.zeros(len(self)), self._probe.targets
         for joint, rate in rates.items():
             if (name := f"{joint}.target_velocity") in self.names:
-                u[self.names.index(name)] = rate - wanted[self._kinds["targets"][name]]
+                u[self.names.index(name)] = rate - targets[self._kinds["targets"][name]]
         return u
 
-    def wanted(self, name):
+    def target(self, name):
         """Present value of a target; 0 of another input, which adds to what acts."""
         place = self._kinds["targets"].get(name)
-        return 0.0 if place is None else float(self._probe.wanted[place])
+        return 0.0 if place is None else float(self._probe.targets[place])
 
     def applied(self, u):
-        """(external, wanted) of the Probe with changes u (k,) of the inputs."""
+        """(external, targets) of the Probe with changes u (k,) of the inputs."""
         probe = self._probe
-        external, targets = probe.external.copy(), probe.wanted.copy()
+        external, targets = probe.external.copy(), probe.targets.copy()
         for name, value in zip(self.names, u):
             if value == 0.0:
                 continue
@@ -97,11 +97,11 @@ class InputChannels:
 
     def changes(self, first):
         """(first + k, n, COLUMNS), (first + k, s, 2) changes of external wrenches and targets, `first` of them zero."""
-        external, wanted = self._probe.external, self._probe.wanted
-        wrenches, targets = (np.zeros((first + len(self), *each.shape)) for each in (external, wanted))
+        external, present = self._probe.external, self._probe.targets
+        wrenches, targets = (np.zeros((first + len(self), *each.shape)) for each in (external, present))
         for k, row in enumerate(np.eye(len(self))):
             found = self.applied(row)
-            wrenches[first + k], targets[first + k] = found[0] - external, found[1] - wanted
+            wrenches[first + k], targets[first + k] = found[0] - external, found[1] - present
         return wrenches, targets
 
 

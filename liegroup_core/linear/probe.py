@@ -91,13 +91,13 @@ def _evaluate(model, work, scheme, y, pose_in, twist_in, external_in, out, pose_
 def _close(model, work, scheme, y, pose_in, twist_in, external_in, rates_out, pose_out, twist_out):
     """Project a neighbour onto the cut joints: write its rates (f,), poses and twists. Returns a status."""
     _, status = _set_neighbour(model, work, scheme, y, pose_in, twist_in, external_in)
-    if status == OK and len(model.joints) > 0:
+    if status == OK and len(model.cuts) > 0:
         status = project(model, work)
     if status != OK:
         return status
-    n = len(model.parts)
-    for b in range(len(model.bodies)):
-        link = model.bodies[b]
+    n = len(model.bodies)
+    for b in range(len(model.links)):
+        link = model.links[b]
         for k in range(link["freedoms"]):
             rates_out[link["freedom"] + k] = work.stage_twist[n + b, k]
     steps.place(model, work, pose_out, twist_out)
@@ -168,7 +168,7 @@ class Probe:
     time       : s, of a state within the present step; None: the present state
     in_space   : True: the freedoms of a planar mechanism are those of its joints in space, whatever its numbers
     external   : (n, COLUMNS) external wrenches, see forces/external.py
-    wanted     : (k, 2) wanted positions and velocities of the servos
+    targets    : (k, 2) target positions and velocities of the servos
     base       : Sample of the state
     layout     : Layout of the simulation
     Raises SimulationError where the accelerations of the state cannot be computed.
@@ -179,7 +179,7 @@ class Probe:
         engine = _Still(simulation.scene, METHOD, simulation.step, RELATIVE, "none", quiet=True, layout=self.layout)
         self._engine = engine
         engine.start_from(simulation)
-        self._model, self._work = engine._integrator.links
+        self._model, self._work = engine._integrator.mechanism
         self._scheme = make_scheme(_ONE, EXACT)
         self.freedoms = len(self._work.freedoms)
         self._zeros, self._equations = np.zeros((self.freedoms, 2)), SameTypes(_equations)
@@ -200,7 +200,7 @@ class Probe:
         instant = engine.instant_of(self.base.time_ns)
         engine.inputs.update(instant)
         engine.set_inputs_from(instant)
-        self.external, self.wanted = engine.inputs.external.copy(), self._work.wanted.copy()
+        self.external, self.targets = engine.inputs.external.copy(), self._work.targets.copy()
 
     def _meet(self, other):
         """Take the time, modes and angles of a Probe of a scene with other numbers."""
@@ -225,9 +225,9 @@ class Probe:
         )
         self.pose, self.twist = pose, twist
         self._work.known[0] = 0.0
-        base.external, base.wanted, base.switching = (
+        base.external, base.targets, base.switching = (
             self.external,
-            self.wanted,
+            self.targets,
             self.modes if self.layout.switches else None,
         )
         base.motions = self.layout.motions_at(time, self._engine.inputs.commanded)
@@ -282,11 +282,11 @@ class Probe:
         set_rates(self._model, self._work, out)
         return self._model.switches["sign"] * out[:, 0]
 
-    def largest_friction(self, external=None, wanted=None):
+    def largest_friction(self, external=None, targets=None):
         """(k,) largest friction at rest of the coordinates with stops or friction, N m or N, with inputs."""
         table, most = self._model.switches, self._model.switches["static"].copy()
         if self._model.has_loads:
-            self.slopes(None, external, wanted)
+            self.slopes(None, external, targets)
             most += table["static_by_load"] * self._work.loads[:, FOUND]
         return most
 
@@ -298,7 +298,7 @@ class Probe:
     @property
     def is_closed(self):
         """Whether neighbours must satisfy cut joints, couplings, driven joints, or held rows."""
-        return len(self._model.joints) > 0
+        return len(self._model.cuts) > 0
 
     def go_to(self, y):
         """Move the state to a neighbour y (f, 2), projected onto the cut joints. Raises SimulationError."""
@@ -326,36 +326,36 @@ class Probe:
         self.pose, self.twist, self._work.angle[:] = kept
         self._work.known[0] = 0.0
 
-    def slopes(self, y=None, external=None, wanted=None):
+    def slopes(self, y=None, external=None, targets=None):
         """(2 f,) psi' and w' at a neighbour y (f, 2), and poses and twists of the bodies, at the centres of mass.
 
-        external, wanted : inputs, as the attributes, which are the defaults. Raises SimulationError
+        external, targets : inputs, as the attributes, which are the defaults. Raises SimulationError
         """
         out, pose, twist = np.empty((self.freedoms, 2)), self.pose.copy(), self.twist.copy()
-        self._call(_evaluate, y, external, wanted, out, pose, twist)
+        self._call(_evaluate, y, external, targets, out, pose, twist)
         return out.T.ravel(), pose, twist
 
-    def tangents(self, directions, sizes, external=None, wanted=None):
+    def tangents(self, directions, sizes, external=None, targets=None):
         """Derivatives along directions (d, f, 2) of y: of psi' and w' (d, 2 f), their errors (d,), of J V (d, m).
 
         sizes : (d,) first distances of differences
-        external, wanted : (d, n, COLUMNS), (d, k, 2) changes of the inputs; None: none
+        external, targets : (d, n, COLUMNS), (d, k, 2) changes of the inputs; None: none
         See tangents.py. The error is relative, NOT_SMOOTH where differences of a row have no digits, near singular
         poses, and with friction by load. Raises SimulationError.
         """
         model, work, count = self._model, self._work, len(directions)
-        n, L, m, f = len(model.parts), len(model.bodies), len(model.row_residual), self.freedoms
+        n, L, m, f = len(model.bodies), len(model.links), len(model.row_residual), self.freedoms
         out, state = np.zeros((count, 2 * f + 1 + m)), (self.pose, self.twist, self.external)
         external = np.zeros((count, *self.external.shape)) if external is None else external
-        wanted = np.zeros((count, *self.wanted.shape)) if wanted is None else wanted
+        targets = np.zeros((count, *self.targets.shape)) if targets is None else targets
         moves = np.ascontiguousarray(np.swapaxes(directions, 1, 2), dtype=float).reshape(2 * count * f, 1)
-        work.wanted[:] = self.wanted
+        work.targets[:] = self.targets
         status = tangents(
             model,
             work,
             moves,
             external.reshape(count * n, self.external.shape[1]),
-            wanted.reshape(-1, 2),
+            targets.reshape(-1, 2),
             np.ascontiguousarray(sizes, dtype=float),
             state,
             np.zeros((9 * L, 6)),
@@ -372,17 +372,17 @@ class Probe:
             out[:, 2 * f] = NOT_SMOOTH
         return out[:, : 2 * f], out[:, 2 * f], out[:, 2 * f + 1 :]
 
-    def derivatives(self, directions, sizes, external=None, wanted=None):
+    def derivatives(self, directions, sizes, external=None, targets=None):
         """(d, 2 f) derivatives of psi' and w' along directions of y and the inputs, and their errors (d, 2 f).
 
         Arguments as of `tangents`; differences of the accelerations where those have no digits. Raises SimulationError.
         """
-        found, uncertain, _ = self.tangents(directions, sizes, external, wanted)
+        found, uncertain, _ = self.tangents(directions, sizes, external, targets)
         errors = (uncertain + ROUND_OFF)[:, None] * np.abs(found).max(axis=1, initial=0.0)[:, None] + 0.0 * found
 
         def slopes(d, s):
-            more, targets = (None if each is None else s * each[d] for each in (external, wanted))
-            given = None if more is None else self.external + more, None if targets is None else self.wanted + targets
+            more, shift = (None if each is None else s * each[d] for each in (external, targets))
+            given = None if more is None else self.external + more, None if shift is None else self.targets + shift
             return self.slopes(s * directions[d], *given)[0]
 
         for d in np.flatnonzero(uncertain == NOT_SMOOTH):
@@ -414,9 +414,9 @@ class Probe:
         """(m,) whether a row is that of a stop or of friction."""
         return self._model.switched != 0
 
-    def _call(self, kernel, y, external, wanted, *out):
+    def _call(self, kernel, y, external, targets, *out):
         work = self._work
-        work.wanted[:] = self.wanted if wanted is None else wanted
+        work.targets[:] = self.targets if targets is None else targets
         y = self._zeros if y is None else np.ascontiguousarray(y, dtype=float)
         external = self.external if external is None else external
         self._done(kernel(self._model, work, self._scheme, y, self.pose, self.twist, external, *out), *out)
@@ -429,17 +429,17 @@ class Probe:
         """Sample of a neighbour y (f, 2); None: of the state."""
         return self.sample(*self.slopes(y)[1:])
 
-    def sample(self, pose, twist, external=None, wanted=None):
+    def sample(self, pose, twist, external=None, targets=None):
         """Sample of a neighbour with its inputs; poses and twists as from `slopes`."""
         base = self.base
         found = Sample(self.layout, base.time, base.time_ns, base.steps, pose, twist, self._work.angle.copy())
-        for name in ("external", "joint_efforts", "wanted", "motions"):
+        for name in ("external", "joint_efforts", "targets", "motions"):
             if name in vars(base):
                 setattr(found, name, getattr(base, name))
         if external is not None:
             found.external = external
-        if wanted is not None:
-            found.wanted = wanted
+        if targets is not None:
+            found.targets = targets
         if base.switching is not None:
             found.switching = self.modes
         return found

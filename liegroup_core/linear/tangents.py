@@ -154,28 +154,28 @@ def _acceleration_in_plane(model, work, b):
 
 
 @kernel
-def _at_own_points(model, joint, K):
+def _at_own_points(model, cut, K):
     """A ball joint moves its parent so that the joint points coincide; see rows.py."""
-    if joint["parent"] == WORLD or joint["own_points"] == 0:
+    if cut["parent"] == WORLD or cut["own_points"] == 0:
         return K
-    return K[0], cross3(vector3(model.elements[joint["element"]]["child_point"]), K[0])
+    return K[0], cross3(vector3(model.elements[cut["element"]]["child_point"]), K[0])
 
 
 @kernel
-def _as_it_is(model, joint, K):
+def _as_it_is(model, cut, K):
     return K
 
 
 @kernel
-def _turned_in_space(model, joint, C, V, W, e):
+def _turned_in_space(model, cut, C, V, W, e):
     turn = V[0]
-    if joint["parent"] != WORLD and joint["own_points"] == 1:
+    if cut["parent"] != WORLD and cut["own_points"] == 1:
         turn = add3(V[0], W[0])
     return C[0], add3(C[1], cross3(turn, e[1]))
 
 
 @kernel
-def _turned_in_plane(model, joint, C, V, W, e):
+def _turned_in_plane(model, cut, C, V, W, e):
     return C[0], C[1] - V[0] * e[2], C[2] + V[0] * e[1]
 
 
@@ -227,7 +227,7 @@ def _set_state(model, work, pose_in, twist_in, external_in, links, rows, given):
         given[f, 0] = work.acceleration[f, 0]
     for r in range(len(work.multipliers)):
         rows[MULTIPLIER, r] = work.multipliers[r]
-    L = len(model.bodies)
+    L = len(model.links)
     for b in range(L):
         store(model, _acceleration(model, work, b), links, ACCELERATION * L + b)
         store(model, zero(model), work.force, b)
@@ -235,8 +235,8 @@ def _set_state(model, work, pose_in, twist_in, external_in, links, rows, given):
     add_multipliers(model, work)
     for b in range(L):
         store(model, load(model, work.force, b), links, WRENCH * L + b)
-    for b in range(len(model.bodies) - 1, -1, -1):
-        a = model.bodies[b]["parent"]
+    for b in range(len(model.links) - 1, -1, -1):
+        a = model.links[b]["parent"]
         if a != WORLD:
             F = wrench_at(model, relative(model, work, b), load(model, links, WRENCH * L + b))
             add_to(model, F, links, WRENCH * L + a)
@@ -249,7 +249,7 @@ def _displace_links(model, work, moves, at, links):
 
     moves : psi of all freedoms from row `at` on, then w
     """
-    n, L, f_all, nothing, rest = len(model.parts), len(model.bodies), len(work.freedoms), zero(model), _resting(model)
+    n, L, f_all, nothing, rest = len(model.bodies), len(model.links), len(work.freedoms), zero(model), _resting(model)
     for b in range(L):
         store(model, nothing, work.force, b)
     for b in range(L):
@@ -327,17 +327,17 @@ def _error_of(orders, count, most, size):
 
 
 @kernel
-def _change_wrenches(model, work, external, more, wanted, d, links, moves, rates):
+def _change_wrenches(model, work, external, more, targets, d, links, moves, rates):
     """Add the changes of the wrenches of all forces to work.force.
 
-    more, wanted : changes of the external wrenches, and of the wanted values of servos, of all directions d
+    more, targets : changes of the external wrenches, and of the targets of servos, of all directions d
     moves, rates : scratch memory (n, 6)
     """
-    L, n = len(model.bodies), len(model.parts)
+    L, n = len(model.links), len(model.bodies)
     for i in range(n):
-        part, b, e, dV = model.parts[i], model.parts[i]["link"], (ZERO3, ZERO3), (ZERO3, ZERO3)
+        body, b, e, dV = model.bodies[i], model.bodies[i]["link"], (ZERO3, ZERO3), (ZERO3, ZERO3)
         if b != WORLD and links[STILL * L + b, 0] == 0.0:
-            rot, point = matrix3(part["rotation"]), vector3(part["point"])
+            rot, point = matrix3(body["rotation"]), vector3(body["point"])
             e = spatial(model, load(model, links, ETA * L + b))
             dV = spatial(model, load(model, links, TWIST * L + b))
             e, dV = se3_Ad_inverse(rot, point, e[0], e[1]), se3_Ad_inverse(rot, point, dV[0], dV[1])
@@ -348,10 +348,10 @@ def _change_wrenches(model, work, external, more, wanted, d, links, moves, rates
     pose, twist, forces = work.space.stage_pose, work.space.stage_twist, model.space.forces
     set_changes(external, more, d * n, pose, moves, work.wrench)
     if forces.exist:
-        at = d * len(work.wanted)
-        add_changes(forces, work.angle, work.acting, work.wanted, pose, twist, moves, rates, wanted, at, work.wrench)
+        at = d * len(work.targets)
+        add_changes(forces, work.angle, work.acting, work.targets, pose, twist, moves, rates, targets, at, work.wrench)
     for i in range(n):
-        b = model.parts[i]["link"]
+        b = model.bodies[i]["link"]
         if b != WORLD:
             add_to(model, _times(model, -1.0, body_wrench(model, work, i)), work.force, b)
 
@@ -385,14 +385,14 @@ def _difference_row(element, X, error, K, change, orders, size):
 
 
 @kernel
-def _change_variable_row(model, work, joint, X, error, change, K, Y, rows, orders, size):
+def _change_variable_row(model, work, cut, X, error, change, K, Y, rows, orders, size):
     """Add what a change of a row J that is not a pair adds: to the residual and its slip, and to work.force.
 
     Y : what J multiplies in the residual
     returns the error
     """
-    a, b, r = joint["parent"], joint["child"], joint["first"]
-    found = _difference_row(model.elements[joint["element"]], X, error, K, change, orders, size)
+    a, b, r = cut["parent"], cut["child"], cut["first"]
+    found = _difference_row(model.elements[cut["element"]], X, error, K, change, orders, size)
     alpha, beta = (orders[2, 0], orders[2, 1], orders[2, 2]), (orders[2, 3], orders[2, 4], orders[2, 5])
     rows[RIGHT, r] += dot3(alpha, Y[0]) + dot3(beta, Y[1]) + orders[2, 6]
     rows[SLIP, r] += dot3(alpha, error[0]) + dot3(beta, error[1])
@@ -404,7 +404,7 @@ def _change_variable_row(model, work, joint, X, error, change, K, Y, rows, order
 
 
 @kernel
-def _no_change(model, work, joint, X, error, change, K, Y, rows, orders, size):
+def _no_change(model, work, cut, X, error, change, K, Y, rows, orders, size):
     """All rows of a planar mechanism are pairs."""
     return 0.0
 
@@ -415,21 +415,21 @@ _change_row = choice("change_row", _change_variable_row, _no_change)
 @kernel
 def _change_rows(model, work, links, rows, orders, size):
     """Changes of the residuals of all rows of cut joints, and of their wrenches, to work.force. Returns the error."""
-    L, nothing, rest, error = len(model.bodies), zero(model), _resting(model), 0.0
-    for j in range(len(model.joints)):
-        joint = model.joints[j]
-        a, b, first = joint["parent"], joint["child"], joint["first"]
-        for r in range(first, first + joint["rows"]):
+    L, nothing, rest, error = len(model.links), zero(model), _resting(model), 0.0
+    for j in range(len(model.cuts)):
+        cut = model.cuts[j]
+        a, b, first = cut["parent"], cut["child"], cut["first"]
+        for r in range(first, first + cut["rows"]):
             rows[RIGHT, r] = rows[SLIP, r] = rows[SHIFT, r] = 0.0
         if model.coupling[j] >= 0:
             continue
         V = load(model, work.velocities, b)
         e, dV = load(model, links, ETA * L + b), load(model, links, TWIST * L + b)
         A, dA = load(model, links, ACCELERATION * L + b), load(model, links, MOVED * L + b)
-        X, W = seen_from(model, work, joint, a, b)
+        X, W = seen_from(model, work, cut, a, b)
         K, dW, B, dB = sub(model, nothing, e), nothing, rest, nothing
         if a != WORLD:
-            K = _seen(model, joint, add(model, K, _Ad(model, X, load(model, links, ETA * L + a))))
+            K = _seen(model, cut, add(model, K, _Ad(model, X, load(model, links, ETA * L + a))))
             dW = _Ad(model, X, load(model, links, TWIST * L + a))
             B = load(model, links, ACCELERATION * L + a)
             dB = _Ad(model, X, load(model, links, MOVED * L + a))
@@ -438,10 +438,10 @@ def _change_rows(model, work, links, rows, orders, size):
         C = add(model, _bracket(model, dV, W), _bracket(model, V, dW))
         slip, F, gap = sub(model, dV, dW), nothing, nothing
         Y = add(model, sub(model, A, B), _bracket(model, V, W))
-        if joint["kind"] != PAIR:
-            found = _change_row(model, work, joint, X, sub(model, V, W), slip, K, Y, rows, orders, size)
+        if cut["kind"] != PAIR:
+            found = _change_row(model, work, cut, X, sub(model, V, W), slip, K, Y, rows, orders, size)
             error = max(error, found)
-        for r in range(first, first + joint["rows"]):
+        for r in range(first, first + cut["rows"]):
             J = _row(model, work.child_jacobian, r)
             rows[SLIP, r] += product(model, 0.0, work.child_jacobian, r, slip)
             rows[SHIFT, r] = -product(model, 0.0, work.child_jacobian, r, K)
@@ -449,8 +449,8 @@ def _change_rows(model, work, links, rows, orders, size):
             F = add(model, F, _times(model, rows[MULTIPLIER, r], J))
         if a != WORLD:
             add_to(model, _Ad_transpose(model, X, _dual(model, K, F)), work.force, a)
-        dY = _turned(model, joint, add(model, sub(model, dA, dB), C), V, W, gap)
-        for r in range(first, first + joint["rows"]):
+        dY = _turned(model, cut, add(model, sub(model, dA, dB), C), V, W, gap)
+        for r in range(first, first + cut["rows"]):
             rows[RIGHT, r] += product(model, 0.0, work.child_jacobian, r, dY)
     return error
 
@@ -468,9 +468,9 @@ def _change_couplings(model, work, moves, at, rows, given):
             continue
         term = model.coupling_terms[coupling["terms"][0] + 1]
         b = term["link"]
-        f = model.bodies[b]["freedom"]
+        f = model.links[b]["freedom"]
         _, bend, third = slopes_of(model, work, coupling)
-        speed = work.stage_twist[len(model.parts) + b, 0]
+        speed = work.stage_twist[len(model.bodies) + b, 0]
         factor = -bend * moves[at + f, 0]
         rows[SLIP, r] += factor * speed
         rows[RIGHT, r] += factor * given[f, 0]
@@ -500,19 +500,19 @@ def _change_switches(model, work, moves, at, rows):
         for c in range(len(model.couplings)):
             if model.couplings[c]["row"] == r:
                 add_coupling(model, work, c, -effort, work.force, 1)
-        joint = model.joints[_joint_of(model, r)]
+        cut = model.cuts[_cut_of(model, r)]
         F = _times(model, -effort, _row(model, work.child_jacobian, r))
-        add_to(model, F, work.force, joint["child"])
-        if joint["parent"] != WORLD:
+        add_to(model, F, work.force, cut["child"])
+        if cut["parent"] != WORLD:
             F = _times(model, -effort, _row(model, work.parent_jacobian, r))
-            add_to(model, F, work.force, joint["parent"])
+            add_to(model, F, work.force, cut["parent"])
 
 
 @kernel
-def _joint_of(model, r):
+def _cut_of(model, r):
     """Cut joint of row r."""
-    for j in range(len(model.joints)):
-        if model.joints[j]["first"] <= r < model.joints[j]["first"] + model.joints[j]["rows"]:
+    for j in range(len(model.cuts)):
+        if model.cuts[j]["first"] <= r < model.cuts[j]["first"] + model.cuts[j]["rows"]:
             return j
     return -1
 
@@ -525,13 +525,13 @@ def _respond(model, work, rows, is_correction):
     """
     gather_forces(model, work)
     spread_response(model, work)
-    if len(model.joints) > 0:
+    if len(model.cuts) > 0:
         if is_correction:
             _add_totals(model, work)
-        for j in range(len(model.joints)):
-            joint = model.joints[j]
-            a, b = joint["parent"], joint["child"]
-            for r in range(joint["first"], joint["first"] + joint["rows"]):
+        for j in range(len(model.cuts)):
+            cut = model.cuts[j]
+            a, b = cut["parent"], cut["child"]
+            for r in range(cut["first"], cut["first"] + cut["rows"]):
                 value = product(model, rows[RIGHT, r], work.child_jacobian, r, load(model, work.moved, b))
                 if a != WORLD:
                     value = product(model, value, work.parent_jacobian, r, load(model, work.moved, a))
@@ -548,7 +548,7 @@ def _respond(model, work, rows, is_correction):
 
 @kernel
 def _add_totals(model, work):
-    for b in range(len(model.bodies)):
+    for b in range(len(model.links)):
         add_to(model, load(model, work.total_moved, b), work.moved, b)
     for f in range(len(work.total)):
         work.acceleration[f, 0] += work.total[f, 0]
@@ -557,13 +557,13 @@ def _add_totals(model, work):
 @kernel
 def _solve(model, work, links, rows):
     """Derivatives of the accelerations for the residuals in work.force and in rows, as often refined as those."""
-    L, refinements = len(model.bodies), model.refinements
+    L, refinements = len(model.links), model.refinements
     for b in range(L):
         store(model, load(model, work.force, b), links, FORCE * L + b)
     for r in range(len(work.multipliers)):
         work.multipliers[r] = 0.0
     _respond(model, work, rows, False)
-    if len(model.joints) > 0 and has_small_pivot(work):
+    if len(model.cuts) > 0 and has_small_pivot(work):
         refinements = max(refinements, 1)
     for _ in range(refinements):
         for f in range(len(work.total)):
@@ -579,24 +579,24 @@ def _solve(model, work, links, rows):
 
 
 @kernel
-def tangents(model, work, moves, more, wanted, sizes, state, links, bodies, rows, orders, given, out):
+def tangents(model, work, moves, more, targets, sizes, state, links, bodies, rows, orders, given, out):
     """Write the derivatives of psi' and w' along d directions to out (d, 2 f + 1 + m), their error, and those of J V.
 
     moves (2 d f, 1) : psi of all freedoms, then w, see probe.py, for one direction after the other
-    more (d n, COLUMNS), wanted (d k, 2) : changes of the inputs
+    more (d n, COLUMNS), targets (d k, 2) : changes of the inputs
     sizes (d,)  : first distance of differences
     state       : pose, twist, external wrenches
     bodies (2, n, 6), links (9 L, 6), rows (4, m), orders (3, 7), given (f, 1) : scratch memory
     returns a status; NOT_REGULAR: only the derivatives of J V are valid
     """
-    moves, more, wanted, sizes = borrowed(moves), borrowed(more), borrowed(wanted), borrowed(sizes)
+    moves, more, targets, sizes = borrowed(moves), borrowed(more), borrowed(targets), borrowed(sizes)
     links, rows, orders, given, out = borrowed(links), borrowed(rows), borrowed(orders), borrowed(given), borrowed(out)
     external, body_moves, body_rates = borrowed(state[2]), borrowed(bodies[0]), borrowed(bodies[1])
     status = _set_state(model, work, borrowed(state[0]), borrowed(state[1]), external, links, rows, given)
     if status != OK:
         return status
     is_regular = work.report[PIVOT] >= NEAR
-    n, L, f_all = len(model.parts), len(model.bodies), len(given)
+    n, L, f_all = len(model.bodies), len(model.links), len(given)
     applies = model.space.forces.exist or work.pushed[0] > 0.0
     for d in range(len(sizes)):
         at, error, pushes = 2 * d * f_all, 0.0, applies
@@ -605,8 +605,8 @@ def tangents(model, work, moves, more, wanted, sizes, state, links, bodies, rows
             for c in range(6):
                 pushes = pushes or more[d * n + i, c] != 0.0
         if pushes:
-            _change_wrenches(model, work, external, more, wanted, d, links, body_moves, body_rates)
-        if len(model.joints) > 0:
+            _change_wrenches(model, work, external, more, targets, d, links, body_moves, body_rates)
+        if len(model.cuts) > 0:
             error = _change_rows(model, work, links, rows, orders, sizes[d])
             _change_couplings(model, work, moves, at, rows, given)
         _change_switches(model, work, moves, at, rows)

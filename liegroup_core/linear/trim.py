@@ -221,12 +221,12 @@ def _derivatives(probe, coordinates, inputs, u):
     for k in range(m):
         directions[k] = coordinates.neighbour(k, 1.0)
     sizes = np.array([*map(coordinates.size, range(m)), *inputs.sizes])
-    changes, present = inputs.changes(m), (probe.external, probe.wanted)
-    probe.external, probe.wanted = inputs.applied(u)
+    changes, present = inputs.changes(m), (probe.external, probe.targets)
+    probe.external, probe.targets = inputs.applied(u)
     try:
         found = probe.derivatives(directions, sizes, *changes)[0][:, probe.freedoms + coordinates.moving].T
     finally:
-        probe.external, probe.wanted = present
+        probe.external, probe.targets = present
     return found[:, :m], found[:, m:]
 
 
@@ -255,11 +255,11 @@ def _trim(probe, preferred, inputs, u, loose):
         for j, name in enumerate(inputs.names if resting.names else ())
     }
     resting.settle(efforts)
-    targets = [inputs.wanted(name) for name in inputs.names]
+    targets = [inputs.target(name) for name in inputs.names]
     coordinates = Coordinates(probe, preferred=preferred)
-    probe.external, probe.wanted = inputs.applied(u)
+    probe.external, probe.targets = inputs.applied(u)
     _, pose, twist = probe.slopes()
-    sample = probe.sample(pose, twist, probe.external, probe.wanted)
+    sample = probe.sample(pose, twist, probe.external, probe.targets)
     probe.base = sample
     system = system_of(probe, inputs.names or None)
     return Trim(

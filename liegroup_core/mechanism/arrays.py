@@ -58,7 +58,7 @@ LINK = np.dtype(
     align=True,
 )
 
-PART = np.dtype(
+IN_LINK = np.dtype(
     [  # body of the scene in its link
         ("link", "i8"),  # link, or WORLD: welded to the world
         ("rotation", "f8", (9,)),
@@ -67,7 +67,7 @@ PART = np.dtype(
     align=True,
 )
 
-JOINT = np.dtype(
+CUT = np.dtype(
     [  # cut element with rows that are solved for
         ("parent", "i8"),
         ("child", "i8"),  # link; the parent may be WORLD, the child not
@@ -141,21 +141,21 @@ class RelativeModel(Struct):
 
     space: Model  # the same mechanism on SE(3)^n
     gravity: np.ndarray  # (1, 3) m/s^2, world axes
-    bodies: np.ndarray  # (L,) of LINK
-    parts: np.ndarray  # (n,) of PART
+    links: np.ndarray  # (L,) of LINK
+    bodies: np.ndarray  # (n,) of IN_LINK
     elements: np.ndarray  # of ELEMENT: those of the cut joints, between links
-    joints: np.ndarray  # (c,) of JOINT
+    cuts: np.ndarray  # (c,) of CUT
     owners: np.ndarray  # (c,) their elements in `space`
     row_residual: np.ndarray  # (m,) index of the residual of each row
     row_turns: np.ndarray  # (m,) 1: the row forbids a rotation, 0: a translation
     child_jacobian: np.ndarray  # (m, 6) rows of every PAIR for its child link
-    paths: np.ndarray  # (c, 2) range of each joint in `path_links`
-    path_links: np.ndarray  # links between the joint and the world, children first
+    paths: np.ndarray  # (c, 2) range of each cut in `path_links`
+    path_links: np.ndarray  # links between the cut and the world, children first
     path_freedoms: np.ndarray  # degrees of freedom of these links, in the order of elimination
-    path_ends: np.ndarray  # (c + 1,) where those of each joint start in `path_freedoms`
-    path_places: np.ndarray  # (c + 1,) where the joint's responses start in Work.response
-    shared: np.ndarray  # (k, 3) joints i, j < i that share degrees of freedom, end in shared_freedoms
-    shared_freedoms: np.ndarray  # (l, 3) a degree of freedom, its place in the responses of both joints
+    path_ends: np.ndarray  # (c + 1,) where those of each cut start in `path_freedoms`
+    path_places: np.ndarray  # (c + 1,) where the cut's responses start in Work.response
+    shared: np.ndarray  # (k, 3) cuts i, j < i that share degrees of freedom, end in shared_freedoms
+    shared_freedoms: np.ndarray  # (l, 3) a degree of freedom, its place in the responses of both cuts
     couplings: np.ndarray  # of COUPLED
     coupling_terms: np.ndarray  # of TERM
     coupling: np.ndarray  # (c,) index of the coupling that a cut joint stands for, or -1
@@ -176,9 +176,9 @@ class RelativeModel(Struct):
         (found,) = (self.owners == element).nonzero()
         if not len(found):
             return []
-        joint = self.joints[found[0]]
-        rows = self.row_residual[joint["first"] : joint["first"] + joint["rows"]]
-        return (rows - self.elements[joint["element"]]["row_start"]).tolist()
+        cut = self.cuts[found[0]]
+        rows = self.row_residual[cut["first"] : cut["first"] + cut["rows"]]
+        return (rows - self.elements[cut["element"]]["row_start"]).tolist()
 
 
 PLANE_LINK = np.dtype(
@@ -210,7 +210,7 @@ class PlaneModel(RelativeModel):
 
     axes: np.ndarray  # (1, 9) axes of the plane in world axes, as columns; the last is its normal
     plane_gravity: np.ndarray  # (1, 2) m/s^2
-    links: np.ndarray  # (L,) of PLANE_LINK
+    plane_links: np.ndarray  # (L,) of PLANE_LINK
     link_heights: np.ndarray  # (L,) of the link frames along the normal, m
 
 
@@ -227,7 +227,7 @@ class RelativeWork(Struct):
     space: Work
     angle: np.ndarray  # the fields from here to `report` are those of `space`
     acting: np.ndarray
-    wanted: np.ndarray
+    targets: np.ndarray
     motions: np.ndarray
     clock: np.ndarray
     start_angle: np.ndarray
@@ -258,7 +258,7 @@ class RelativeWork(Struct):
     kept_coordinates: np.ndarray = shaped("switches")
     start_coordinates: np.ndarray = shaped("switches")  # of the caller's state
     lead_external: np.ndarray = shaped("bodies", EXTERNAL_COLUMNS)
-    lead_wanted: np.ndarray
+    lead_targets: np.ndarray
     lead_acting: np.ndarray
     lead_motions: np.ndarray
     external: np.ndarray = shaped("bodies", EXTERNAL_COLUMNS)  # see forces/external.py: external wrenches of the call
@@ -309,8 +309,8 @@ class RelativeWork(Struct):
 
 def make_relative_work(model, work, stages):
     """Allocate the scratch memory of a RelativeModel; work: Work of the same mechanism."""
-    n, links, rows = len(model.parts), len(model.bodies), len(model.row_residual)
-    freedoms = int(model.bodies["freedoms"].sum())
+    n, links, rows = len(model.bodies), len(model.links), len(model.row_residual)
+    freedoms = int(model.links["freedoms"].sum())
     blocks = stages + 1 + FURTHER
     in_plane = isinstance(model, PlaneModel)
     sizes = dict(
@@ -330,11 +330,11 @@ def make_relative_work(model, work, stages):
         drift=2 if in_plane else 6,
         inertia=6 if in_plane else 21,
     )
-    shared = ("angle", "acting", "wanted", "motions", "clock", "start_angle", "report")
+    shared = ("angle", "acting", "targets", "motions", "clock", "start_angle", "report")
     given = {name: getattr(work, name) for name in shared}
     rows = {"child_jacobian": model.child_jacobian.copy(), "factors": model.coupling_terms["factor"].copy()}
     rows |= {name: np.zeros_like(work.angle) for name in ("lead_angle", "kept_angle")}
-    rows |= {f"lead_{name}": np.zeros_like(getattr(work, name)) for name in ("wanted", "acting", "motions")}
+    rows |= {f"lead_{name}": np.zeros_like(getattr(work, name)) for name in ("targets", "acting", "motions")}
     return RelativeWork.zeros(sizes, space=work, **rows, **given)
 
 

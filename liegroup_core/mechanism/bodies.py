@@ -12,7 +12,7 @@ axes. A pose has twelve numbers: R row by row, then r.
 import numpy as np
 
 from liegroup_core.compiling import Struct, kernel
-from liegroup_core.forces.kinds import count_of_angles, wanted_values
+from liegroup_core.forces.kinds import count_of_angles, target_values
 
 BODY = np.dtype([
     ("mass", "f8"), ("inverse_mass", "f8"),                       # kg, 1/kg
@@ -49,7 +49,7 @@ class Work(Struct):
     angle: np.ndarray              # rad, of each torsional spring at the last finished step: state
     start_angle: np.ndarray        # the same at the start of a step that is taken in substeps
     acting: np.ndarray             # bool, of each applied wrench of the scene: input of a call
-    wanted: np.ndarray             # (k, 2) position and velocity of each servo: input of a call
+    targets: np.ndarray            # (k, 2) position and velocity of each servo: input of a call
     motions: np.ndarray            # (d, 7) motion of each driven joint: input of a call
     clock: np.ndarray              # (8,) COUNT, OFFSET, NOW, FROM, SINCE, TO, UNTIL, STEP_SIZE
     stage_pose: np.ndarray         # (n, 12)
@@ -65,7 +65,7 @@ def make_work(model, stages):
     return Work(
         wrench=np.zeros((n, 6)), angle=np.zeros(springs), start_angle=np.zeros(springs),
         acting=np.zeros(len(model.forces.applied_wrench), dtype=bool),
-        wanted=wanted_values(model.forces), motions=model.motions.copy(), clock=np.zeros(8),
+        targets=target_values(model.forces), motions=model.motions.copy(), clock=np.zeros(8),
         stage_pose=np.zeros((n, 12)), stage_twist=np.zeros((n, 6)),
         slopes=np.zeros(((stages + 1) * n, 12)), report=np.zeros(6))
 

@@ -11,7 +11,7 @@ from liegroup_core.lie.groups import SE3
 from liegroup_core.motion_groups.table import FREEDOMS, ORDERS
 from liegroup_core.scene.consistency import ResolvedCoupling, resolve_couplings
 
-from .arrays import COUPLED, JOINT, TERM
+from .arrays import COUPLED, CUT, TERM
 from .links import FIRST_AXIS, SECOND_AXIS, link_poses
 from .redundancy import dependent_groups, generic_poses, independent_rows
 from .spanning_tree import WORLD_NAME
@@ -249,7 +249,7 @@ def loop_arrays(links, records, cut, rows, elements, coupled, counted, loops):
     paths = [sorted({i for end in ends[k] for i in _path(links, end)}, reverse=True) for k in solved]
     order = _narrow([set(path) for path in paths])
     solved, paths = [solved[k] for k in order], [paths[k] for k in order]
-    joints = np.zeros(len(solved), dtype=JOINT)
+    joints = np.zeros(len(solved), dtype=CUT)
     jacobians, residuals, turns, first = [np.zeros((0, 6))], [], [], 0
     for joint, k in zip(joints, solved):
         element = elements[k]
@@ -298,7 +298,7 @@ def loop_arrays(links, records, cut, rows, elements, coupled, counted, loops):
     number = {len(cut) - len(coupled) + i: i for i in range(len(coupled))}
     coupling = np.array([number.get(k, -1) for k in solved], dtype=np.int64)
     return {
-        "joints": joints,
+        "cuts": joints,
         "coupling": _numbered(coupling),
         **_couplings(links, joints, coupling, residuals, coupled, counted),
         "owners": np.array([cut[k][1] for k in solved], dtype=np.int64),

@@ -8,7 +8,7 @@ from liegroup_core.motion_groups.table import FLOATING, FREE
 from liegroup_core.scene.consistency import resolve_elements, resolve_frames
 from liegroup_core.threads import one_blas_thread
 
-from .arrays import PART, PLANE_LINK, PlaneModel, RelativeModel
+from .arrays import IN_LINK, PLANE_LINK, PlaneModel, RelativeModel
 from .body_model import LARGE_RATIO, are_unlike, levers
 from .cuts import coupled_links, cut_elements, cut_rows, loop_arrays
 from .freedoms_without_inertia import check_inertia
@@ -48,25 +48,25 @@ def relative_model(scene, model, in_space=False, group=None):
     if group is not None:
         loops = loop_joints([(joint.parent, joint.child) for joint in scene.joints])
     arrays = loop_arrays(links, records, cut, rows, elements, coupled, springs, loops)
-    part_records = np.array(
+    body_records = np.array(
         [
             (places[body.name][0], places[body.name][1][:3, :3].ravel(), places[body.name][1][:3, 3])
             for body in scene.bodies
         ],
-        dtype=PART,
+        dtype=IN_LINK,
     )
     common = dict(
         space=model,
         gravity=model.gravity,
-        bodies=records,
-        parts=part_records,
+        links=records,
+        bodies=body_records,
         elements=elements,
         **switch_arrays(scene, links, records, arrays, elements, places, mechanism_size(model, scene.joints)),
-        refinements=_refinements(scene, model, len(arrays["joints"]) > 0, normal),
+        refinements=_refinements(scene, model, len(arrays["cuts"]) > 0, normal),
         is_empty_tree=group is not None,
         only_free_bodies=not scene.joints and all(link.group == FREE for link in links),
         usual_pivot=1.0,
-        projects=bool(model.projects and len(arrays["joints"])),
+        projects=bool(model.projects and len(arrays["cuts"])),
         baumgarte_rate=model.baumgarte_rate,
         **arrays,
     )
@@ -110,7 +110,7 @@ def _plane_arrays(model, links, records, normal):
     return {
         "axes": axes.reshape(1, 9),
         "plane_gravity": model.gravity @ axes[:, :2],
-        "links": np.array(plane_links, dtype=PLANE_LINK),
+        "plane_links": np.array(plane_links, dtype=PLANE_LINK),
         "link_heights": np.array(heights),
     }
 

@@ -39,7 +39,7 @@ def switch_arrays(scene, links, records, arrays, elements, places, size):
     """
     in_tree, found = _links_of(links), switches_of(scene)
     freedoms, rows = int(records["freedoms"].sum()), len(arrays["row_residual"])
-    of_element = {int(joint["element"]): int(joint["first"]) for joint in arrays["joints"]}
+    of_element = {int(joint["element"]): int(joint["first"]) for joint in arrays["cuts"]}
     couplings = len(scene.couplings) + sum(joint.driven for joint in scene.joints)
     number = len(elements) - couplings - len(stop_rows(scene, links))
     table, switched = np.zeros(len(found), dtype=SWITCH), np.zeros(rows, dtype=np.int64)
@@ -69,7 +69,7 @@ def switch_arrays(scene, links, records, arrays, elements, places, size):
         record["bearing"] = -1
         _set_numbers(record, switch, sign)
         if record["static_by_load"] and record["row"] >= 0:
-            record["bearing"] = _bearing(arrays["joints"], elements, record["row"])
+            record["bearing"] = _bearing(arrays["cuts"], elements, record["row"])
     return {"switches": table, "switched": switched, "has_switched_rows": bool(switched.any())} | {
         "has_loads": bool(table["static_by_load"].any())
     }

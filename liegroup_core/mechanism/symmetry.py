@@ -185,7 +185,7 @@ def _outer_wrenches(model, pose, rng):
         forces,
         rng.normal(size=kinds.count_of_angles(forces)),
         np.ones(len(forces.applied_wrench), dtype=bool),
-        kinds.wanted_values(forces),
+        kinds.target_values(forces),
         pose,
         rng.normal(size=(len(pose), 6)),
         wrench,

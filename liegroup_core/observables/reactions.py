@@ -78,7 +78,7 @@ class Reactions:
         self.idle = no_wrenches(layout.offsets)
         self._copy_modes = SameTypes(copy_modes)
         self._work = work = make_relative_work(self._model, make_work(layout.model, 0), 0)
-        inputs = (work.angle, work.acting, work.wanted, work.motions, self._model.switches)
+        inputs = (work.angle, work.acting, work.targets, work.motions, self._model.switches)
         self.has_inputs = any(map(len, inputs))
         self._scene = scene = layout.centred
         couplings = rigid_couplings(scene)
@@ -168,9 +168,9 @@ class Reactions:
 
         pose, twist : (n, 12), (n, 6) of frames at the centres of mass
         external    : (n, COLUMNS), see forces/external.py; None: no external wrenches
-        inputs      : (angles, acting, wanted, motions, modes, time) or None:
+        inputs      : (angles, acting, targets, motions, modes, time) or None:
                       angles (k,) rad, `Sample.angles`; acting, mask of the scene's applied wrenches;
-                      wanted (k, 2) targets of the servos; motions (d, 7) of the driven joints; modes
+                      targets (k, 2) targets of the servos; motions (d, 7) of the driven joints; modes
                       (k, 5) of the joints with stops or friction, None: unchanged; time in s
         table       : ReactionTable with the components to set to NaN; None: the undetermined ones
         wrenches, motion : see `joint_wrenches`;  efforts : of the driven joints, N m or N
@@ -195,15 +195,15 @@ class Reactions:
             out[: len(mask)][mask] = np.nan
         return out, mask, efforts
 
-    def take(self, angles, acting, wanted, motions, modes, time):
+    def take(self, angles, acting, targets, motions, modes, time):
         """Set the inputs of a state, see `at`."""
         work = self._work
         if len(angles):
             work.angle[:] = angles
         if len(acting):
             work.acting[:] = acting
-        if len(wanted):
-            work.wanted[:] = wanted
+        if len(targets):
+            work.targets[:] = targets
         if len(motions):
             work.motions[:], work.clock[NOW] = motions, time
         if modes is not None and len(modes):
@@ -240,8 +240,8 @@ class Reactions:
         Redundant constraints leave single wrenches undetermined, but not the sum of their powers. The power that
         accelerates rotors is left out: their energy is kinetic energy.
         """
-        turning = np.flatnonzero(self._model.bodies["rotor"])
-        rotors = self._model.bodies[turning]
+        turning = np.flatnonzero(self._model.links["rotor"])
+        rotors = self._model.links[turning]
         wrenches, out = np.empty((len(pose), len(self.names), 6)), np.zeros((len(pose), 2))
         for k, given in enumerate(inputs):
             found, _, efforts = self.at(pose[k], twist[k], external, given, self._open_table)

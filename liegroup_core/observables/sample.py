@@ -35,8 +35,8 @@ class Sample:
     bound : (m, rad) largest pose errors that an accuracy allows at this time; None with a method
     external : (n, COLUMNS) external wrenches, see forces/external.py; None: no wrenches
     joint_efforts : {joint: N m or N} commanded efforts that acted at the end of the last step
-    wanted : (k, 2) target positions and velocities of the servos, rad and rad/s, or m and m/s;
-             None: those of the scene
+    targets : (k, 2) target positions and velocities of the servos, rad and rad/s, or m and m/s;
+              None: those of the scene
     motions : (d, 7) prescribed motions of the driven joints; None: those of the scene
     switching : (k, 5) modes of the joints with stops or friction, in the order of the scene: 1 if held, 2 if
                 it rests because other joints are held; direction of slip; touched stop (-1 lower, 1 upper);
@@ -49,7 +49,7 @@ class Sample:
     bound = None
     external = None
     joint_efforts: Mapping[str, float] = MappingProxyType({})
-    wanted = None
+    targets = None
     motions = None
     switching = None
 
@@ -157,7 +157,7 @@ class Sample:
         forces = self._layout.model.forces
         rates = self.prescribed
         driving = sum(effort * rates[joint][1] for joint, effort in self.drive_efforts.items())
-        return driving + kinds.power(forces, self.angles, self._acting, self._wanted, *self._state)
+        return driving + kinds.power(forces, self.angles, self._acting, self._targets, *self._state)
 
     @property
     def _acting(self):
@@ -172,7 +172,7 @@ class Sample:
         """Inputs of the reactions other than state and external wrenches; see Reactions.at."""
         if not self._layout.reactions.has_inputs:
             return None
-        given = self.angles, self._acting, self._wanted, self._motions, self._switching
+        given = self.angles, self._acting, self._targets, self._motions, self._switching
         return *given, self.time
 
     @cached_property
@@ -365,8 +365,8 @@ class Sample:
         return self._layout.reactions.reasons(self._reactions[1])
 
     @property
-    def _wanted(self):
-        return self._layout.wanted if self.wanted is None else self.wanted
+    def _targets(self):
+        return self._layout.targets if self.targets is None else self.targets
 
     @cached_property
     def _servo_efforts(self):
@@ -374,7 +374,7 @@ class Sample:
         out = np.zeros((len(self._layout.servos), 2))
         if len(out):
             forces = self._layout.model.forces
-            kinds.servo_efforts(forces, self.angles, self._wanted, *self._state, out)
+            kinds.servo_efforts(forces, self.angles, self._targets, *self._state, out)
         return out
 
     @cached_property

@@ -195,21 +195,21 @@ def _law(force):
 
 
 def servo_law(servo, position, velocity):
-    """Law of a servo with a wanted position and velocity."""
+    """Law of a servo with a target position and velocity."""
     limit = np.inf if servo.effort_limit is None else servo.effort_limit
     constant = servo.stiffness * position + servo.damping * velocity
     return constant, servo.stiffness, servo.damping, limit
 
 
-def with_wanted(system, scene, wanted):
-    """System with other wanted values of its servos; wanted : {joint: (position, velocity)}."""
+def with_targets(system, scene, targets):
+    """System with other targets of its servos; targets : {joint: (position, velocity)}."""
     laws = system.loads.turn_law.copy(), system.loads.slide_law.copy()
     screws = sum(joint.type == "screw" for joint in scene.joints)
     for law, types, row in zip(laws, (TURNING, SLIDING), (screws, 0)):
         for force in scene.forces:
             if force.type in types:
-                if force.type.endswith("servo") and force.joint in wanted:
-                    law[row] = servo_law(force, *wanted[force.joint])
+                if force.type.endswith("servo") and force.joint in targets:
+                    law[row] = servo_law(force, *targets[force.joint])
                 row += 1
     loads = system.loads._replace(turn_law=laws[0], slide_law=laws[1])
     return system._replace(loads=loads)

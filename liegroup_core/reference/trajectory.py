@@ -16,7 +16,7 @@ from liegroup_core.threads import one_blas_thread
 
 from .collocation import CollocationSteps
 from .rigid_body_dae import STATE, chosen_rows, rates, unit_rows
-from .system import build_system, with_wanted
+from .system import build_system, with_targets
 
 # Tolerance of the error inside a step, relative to the characteristic length and in rad. The uncertainty of a run is
 # its distance to a run with a tolerance LOOSER times larger, whose steps are about a third longer.
@@ -51,7 +51,7 @@ class WrenchSpan(NamedTuple):
 
 
 class ServoChange(NamedTuple):
-    """Wanted position and velocity of the servo of a joint from `time` on."""
+    """Target position and velocity of the servo of a joint from `time` on."""
 
     time: float  # s
     joint: str
@@ -112,7 +112,7 @@ def integrate(scene, pose, twist, times, changes=(), start=0.0, rtol=TIGHT):
               mass, as from Simulation.state
     times   : (k,) s, increasing, not before `start`
     changes : WrenchSpan, ServoChange and MotionChange; servos and motions in the order of their times. Before
-              the first of these wanted values and motions are those of the scene
+              the first of these targets and motions are those of the scene
     rtol    : tolerance of the error inside a step, relative to the characteristic length and in rad
     returns (Trajectory at `times`, its uncertainty as a Distance: the largest distance so far to
     a run with a tolerance LOOSER times larger)
@@ -208,12 +208,12 @@ class Reference:
 
 
 def _pieces(scene, system, offsets, changes, start, end):
-    """Intervals of constant wrenches, constant wanted values of servos, and one motion of each drive.
+    """Intervals of constant wrenches, constant targets of servos, and one motion of each drive.
 
     returns [(start, end, System, wrenches (n, 24) of loads.add_loads, mask (p,) of applied wrenches,
     [(7,) of each driven joint])]
     """
-    wanted, commanded, motions = {}, {}, resolve_drives(scene)
+    targets, commanded, motions = {}, {}, resolve_drives(scene)
     index = {body.name: i for i, body in enumerate(scene.bodies)}
     pushes = [force for force in scene.forces if force.type == "applied_wrench"]
     spans = [change for change in changes if isinstance(change, WrenchSpan)]
@@ -246,8 +246,8 @@ def _pieces(scene, system, offsets, changes, start, end):
                 pieces.append(piece)
             since = until
         if isinstance(change, ServoChange):
-            wanted[change.joint] = change.position, change.velocity
-            system = with_wanted(system, scene, wanted)
+            targets[change.joint] = change.position, change.velocity
+            system = with_targets(system, scene, targets)
         elif isinstance(change, MotionChange):
             commanded[change.joint] = np.array(change.motion)
         elif change is not None:

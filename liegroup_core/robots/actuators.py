@@ -6,7 +6,7 @@ An actuator has a length, linear in joint coordinates, and a force that is affin
     l = l0 + sum share q   ,   f = p0 + p1 l + p2 ldot   ,   p = bias + gain control   ,   effort = share f
 
 With one joint this is the law of a servo with stiffness -share^2 p1 and damping -share^2 p2, else a constant
-effort. The control is that of the pose at the start; commands of a scene give wanted values or efforts instead.
+effort. The control is that of the pose at the start; commands of a scene give targets or efforts instead.
 """
 
 import math
@@ -68,7 +68,7 @@ class _Law(NamedTuple):
     def is_constant(self):
         return self.stiffness == self.damping == 0.0
 
-    def wanted(self, effort):
+    def target(self, effort):
         """(position, velocity) of a servo with this effort at coordinate and rate 0."""
         return (effort / self.stiffness, 0.0) if self.stiffness else (0.0, effort / self.damping)
 
@@ -97,7 +97,7 @@ def add_drives(robot, options, parts, values, taken):
         entry, turns = entries[name], joint.type != "prismatic"
         if servo is not None:
             turned = joint.turned(values[name])
-            position, velocity = servo.wanted(servo.effort - servo.stiffness * turned)
+            position, velocity = servo.target(servo.effort - servo.stiffness * turned)
             force = {"type": "servo" if turns else "linear_servo", "joint": entry["name"]}
             force |= {"stiffness": servo.stiffness, "damping": servo.damping}
             force |= {"effort_limit": servo.limits[1]} if servo.limits != FREE else {}
@@ -219,7 +219,7 @@ def _append(parts, law, force, taken):
 
 def _narrow(entry, servo, turned):
     """Limit the commands of a servo to the range of the control."""
-    ends = sorted(servo.wanted(end)[0 if servo.stiffness else 1] for end in servo.ends)
+    ends = sorted(servo.target(end)[0 if servo.stiffness else 1] for end in servo.ends)
     if not servo.stiffness:
         _tighten(entry, "velocity", max(map(abs, ends)))
         return

@@ -43,7 +43,7 @@ class ActingInputs(NamedTuple):
     external: np.ndarray  # (n, COLUMNS)
     efforts: dict  # {joint: N m or N} commanded
     acting: np.ndarray  # mask of the scene's applied wrenches
-    wanted: np.ndarray  # (k, 2) targets of the servos
+    targets: np.ndarray  # (k, 2) targets of the servos
     motions: np.ndarray  # (d, 7) of the driven joints
     modes: np.ndarray  # (s, 5) of the joints with stops or friction
 
@@ -53,7 +53,7 @@ class Acting:
 
     def __init__(self, layout, step):
         self._layout = layout
-        self._inputs = Inputs(layout, StepGrid(step), layout.wanted.copy(), None)
+        self._inputs = Inputs(layout, StepGrid(step), layout.targets.copy(), None)
         self._last = ()
 
     def at(self, stretch, time):
@@ -67,7 +67,7 @@ class Acting:
             inputs.external.copy(),
             inputs.schedule.efforts,
             acting_at(rows, just_after(time)) if len(rows) else NONE_ACT,
-            inputs.wanted.copy(),
+            inputs.targets.copy(),
             layout.motions_at(just_after(time), inputs.commanded),
             layout.no_modes if modes is None else modes,
         )
@@ -75,7 +75,7 @@ class Acting:
     def complete(self, sample, stretch):
         """Give a Sample of a stretch what acts at its time."""
         given = self.at(stretch, sample.time)
-        sample.external, sample.joint_efforts, sample.wanted = given.external, given.efforts, given.wanted
+        sample.external, sample.joint_efforts, sample.targets = given.external, given.efforts, given.targets
         sample.motions, sample.switching = given.motions, given.modes
 
     def changes(self, stretch):

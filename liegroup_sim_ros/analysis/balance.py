@@ -97,7 +97,7 @@ class Balance:
         layout, given = self._layout, self._acting.at(self._stretch, time)
         out = np.zeros((len(times), IMPACTS))
         if self._has_forces:
-            out[:, :DRIVES] = powers(layout, angles, given.acting, given.wanted, pose, twist)
+            out[:, :DRIVES] = powers(layout, angles, given.acting, given.targets, pose, twist)
         if len(self._stretch.inputs):
             wrench = np.empty(twist.shape[1:])
             for k, state in enumerate(pose):

@@ -283,7 +283,7 @@ TABLE = (
     Entry(
         "trajectory_period",
         0.002,
-        "time during which the wanted values of a trajectory for the servos are constant, s of simulated time",
+        "time during which the targets of a trajectory for the servos are constant, s of simulated time",
         low=1e-5,
         high=1.0,
     ),

@@ -149,7 +149,7 @@ class Rerun:
         self._work.advance(self.simulation, step - self.simulation.steps)
 
     def apply_changes(self, until):
-        """Give the recorded commands up to a time in s, and the wanted values and motions that act up to then."""
+        """Give the recorded commands up to a time in s, and the targets and motions that act up to then."""
         stretch, inputs = self._stretch, self._stretch.inputs
         upto = stretch.inherited + int(np.searchsorted(self._given, until, "right"))
         for k in range(self._next, upto):

@@ -127,7 +127,7 @@ class Stretch:
         return np.column_stack([start[first], reached[last]])
 
     def acting_at(self, step):
-        """[Command] of what acts at a step: wrenches, efforts, wanted values of servos and motions."""
+        """[Command] of what acts at a step: wrenches, efforts, targets of servos and motions."""
         start, end, numbers = self._spans
         time = step * self.step
         found = [self.inputs[k] for k in numbers[(start * 1e-9 <= time) & (time < end * 1e-9)].tolist()]

@@ -66,7 +66,7 @@ class Recording:
     pacing: dict | None  # pacing.json; None if the run did not end normally
     bodies: tuple  # names, in the order of initial_state
     inputs: InputTrack  # wrenches and efforts as they were commanded
-    servo_targets: JointTrack | None  # wanted values of all servos from each stamp on
+    servo_targets: JointTrack | None  # targets of all servos from each stamp on
     motions: MotionTrack | None  # motions of all driven joints from each stamp on
     joint_modes: ModeTrack | None  # of the joints with stops or friction, from each stamp on
     events: list  # Event
@@ -283,7 +283,7 @@ class Recording:
                "joints"  columns (joint, "position", "velocity" or "effort")
                "motions" columns (driven joint, "origin" or "c0" to "c5"): the commanded motion from
                          this time on, see liegroup_core/joints/motion.py; infinite origin: none
-               "servo_targets" columns (joint, "position" or "velocity"): wanted values from this time on
+               "servo_targets" columns (joint, "position" or "velocity"): targets from this time on
                "joint_modes" columns (joint, "mode", "slip", "coordinate", "impulse", "energy" or
                          "effort"): of joints with stops or friction, see messages/joint_modes.py
                "impulses"  columns (joint, tx to fz): N m s and N s at impacts, NaN: undetermined

@@ -116,7 +116,7 @@ class LogFile:
         self.count, self.last_step = 0, -1
         self._simulation, self._told = simulation, set()  # events that are recorded once
         self._stamp = simulation.time_ns  # of the last sample
-        self._values = simulation.inputs.targets | simulation.inputs.motions
+        self._values = simulation.inputs.targets_by_joint | simulation.inputs.motions
         simulation.drain_applied()  # what was commanded before is in the initial state
         try:
             on_request = sample_messages.reactions(simulation.layout, WORLD_FRAME) if reactions else []
@@ -240,7 +240,7 @@ class LogFile:
             self._write_targets(round(time_ns))
 
     def _write_targets(self, stamp):
-        """Record the wanted values of all servos and the motions of all driven joints from a stamp on."""
+        """Record the targets of all servos and the motions of all driven joints from a stamp on."""
         layout, values = self._simulation.layout, self._values
         if layout.servos:
             targets = self._encode_targets(stamp, [values[joint] for joint in layout.servos])

@@ -17,7 +17,7 @@ class Inbox:
     """Inputs that wait for the simulation thread.
 
     simulation    : liegroup_core.Simulation
-    follow_period : s, during which wanted values of a trajectory are constant
+    follow_period : s, during which targets of a trajectory are constant
     motion_time   : s, in which a driven joint comes to rest
     wake          : function that wakes the simulation thread
 
@@ -87,10 +87,10 @@ class Inbox:
         return any(not start or start < stamp_ns for start in starts)
 
     def deliver(self, base_ns, until):
-        """Pass all waiting inputs to the simulation, and the wanted values of the followed trajectory.
+        """Pass all waiting inputs to the simulation, and the targets of the followed trajectory.
 
         base_ns : stamp of step 0
-        until   : s, time up to which wanted values are passed
+        until   : s, time up to which targets are passed
         """
         if self._pushes:
             self._apply(base_ns)

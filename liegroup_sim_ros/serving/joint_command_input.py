@@ -3,7 +3,7 @@
 
 Names are those of ~/joint_states. A message may have some of the joints. NaN or an empty field gives no
 command of its kind. A command replaces the previous one of the same joint and kind. An effort acts on
-the joint itself. Position and velocity are wanted values of its servo, or the state that a driven joint reaches.
+the joint itself. Position and velocity are targets of its servo, or the state that a driven joint reaches.
 
 A command starts at its stamp if that is in the future, else with the next step; a stamp older than the
 command's duration is refused. A message is accepted or refused as a whole; refusals are counted by reason.
@@ -61,7 +61,7 @@ class JointEffort(NamedTuple):
 
 
 class Target(NamedTuple):
-    """Accepted wanted values of the servo of a joint."""
+    """Accepted targets of the servo of a joint."""
 
     joint: str  # as in the scene
     position: float  # rad or m
@@ -158,7 +158,7 @@ class JointCommandInput(JointInput):
         return self._commands(names, fields, stamp_ns, now_ns, held, lasting, jumps)
 
     def read_rates(self, rates, stamp_ns, now_ns, held, lasting):
-        """Same as `read`, for wanted rates {joint of the scene: rad/s or m/s}; servos keep their wanted positions."""
+        """Same as `read`, for wanted rates {joint of the scene: rad/s or m/s}; servos keep their target positions."""
         labels = {joint: name for name, joint in self.joints.items()}
         for joint, rate in rates.items():
             if not abs(rate) <= LARGEST_NUMBER:

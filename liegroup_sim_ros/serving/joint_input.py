@@ -35,7 +35,7 @@ class JointInput(CountedInput):
 
     joints     : {name in messages: joint of the scene} of the joints with one coordinate: revolute and
                  prismatic joints, and driven screws
-    servos     : {name in messages: whether its servo needs a wanted position}
+    servos     : {name in messages: whether its servo needs a target position}
     driven     : names in messages of the driven joints
     most_names : largest number of names in a message
     limits     : {joint of the scene: Limits}

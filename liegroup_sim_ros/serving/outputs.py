@@ -12,7 +12,7 @@ import time
 
 from liegroup_core.errors import LieGroupSimError
 from liegroup_core.forces.commands import EFFORT, WRENCH
-from liegroup_core.forces.kinds import wanted_values
+from liegroup_core.forces.kinds import target_values
 from liegroup_core.joint_events import has_impacts
 from liegroup_core.joints.motion import FROM_SCENE
 from liegroup_sim_ros.messages import commands, description, diagnostics, estimates, inputs, joint_modes, topics
@@ -131,7 +131,7 @@ class Outputs:
         if self._servos:
             self._targets = self._stream(*topics.SERVO_TARGETS)
             self._encode_targets = commands.servo_targets(layout)
-            idle = wanted_values(layout.model.forces).tolist()
+            idle = target_values(layout.model.forces).tolist()
             self._idle = dict(zip(self._servos, idle))
         self._driven, self.motions = tuple(layout.motions), {}
         if self._driven:
@@ -330,7 +330,7 @@ class Outputs:
         self._sent = 0
 
     def servo_targets(self, stamp_ns, changed):
-        """Publish the wanted values of all servos from this stamp on.
+        """Publish the targets of all servos from this stamp on.
 
         changed : {joint: (position, velocity)}; empty: all servos return to the values of the scene
         """
@@ -368,7 +368,7 @@ class Outputs:
             self._record_sample(stamp_ns, sample)
 
     def record_acting(self, stamp_ns, sample):
-        """Record wanted values, motions and modes at the start of a new file, without publishing them."""
+        """Record targets, motions and modes at the start of a new file, without publishing them."""
         self.has_sample = False
         if self.targets:
             self._targets.record(stamp_ns, self._targets_now(stamp_ns))

@@ -45,7 +45,7 @@ class SimulationServer(SimulationCommands, threading.Thread):
                  the methods at_step, state, inputs, all_inputs, servo_targets, prescribed, event, diagnostics;
                  joint_modes if joints have stops or friction; impact if impulses is not empty
     factor     : real-time factor, 0: as fast as possible
-    follow_period : s, during which wanted values of a trajectory are constant
+    follow_period : s, during which targets of a trajectory are constant
     motion_time   : s, in which a driven joint comes to rest
     paused     : start paused
     base_ns    : stamp of step 0
@@ -138,7 +138,7 @@ class SimulationServer(SimulationCommands, threading.Thread):
         self._simulation.check_motion(joint, *points, start=start)
 
     def check_jump(self, joint, position):
-        """Raise BeyondLimits for a wanted position to which a servo cannot jump."""
+        """Raise BeyondLimits for a target position to which a servo cannot jump."""
         self._simulation.check_jump(joint, position)
 
     def clear(self, prefix):
@@ -390,7 +390,7 @@ class SimulationServer(SimulationCommands, threading.Thread):
         return [command for command in given if command.kind in (TARGET, MOTION)]
 
     def _send_changes(self, stamp_ns, changes):
-        """Send the wanted values of servos and the motions that act from a stamp on."""
+        """Send the targets of servos and the motions that act from a stamp on."""
         targets, motions = {}, {}
         for change in changes:
             (targets if change.kind == TARGET else motions)[change.name] = change.values
@@ -405,7 +405,7 @@ class SimulationServer(SimulationCommands, threading.Thread):
         inputs = self._simulation.inputs
         self._simulation.drain_applied()  # it is part of the state
         self._output.all_inputs(self._base_ns, inputs.commands)
-        targets, motions = inputs.targets, inputs.motions
+        targets, motions = inputs.targets_by_joint, inputs.motions
         if targets:
             self._output.servo_targets(self.stamp_ns, targets)
         if motions or self._output.motions:

@@ -65,7 +65,7 @@ class Waypoints:
         return self._times, positions, velocities, [*accelerations[:-1], 0.0]  # it comes to rest
 
     def check_servo(self, joint, limits, state=None):
-        """Raise BeyondLimits for wanted values of a joint's servo beyond its CommandLimits.
+        """Raise BeyondLimits for targets of a joint's servo beyond its CommandLimits.
 
         state : (position, velocity) from which it starts; None: check from the first point on
         """
@@ -134,7 +134,7 @@ class Follower:
     """Commands servos and driven joints along the latest trajectory; for the simulation thread only.
 
     simulation : liegroup_core.Simulation
-    period     : s of simulated time, during which wanted values are constant: those at its middle
+    period     : s of simulated time, during which targets are constant: those at its middle
     stopping   : s of simulated time, in which a driven joint comes to rest
     refuse     : function, called with one line of text if a trajectory cannot be followed when it
                  starts
@@ -182,7 +182,7 @@ class Follower:
         return self._active is None and self._waiting is None
 
     def command(self, until):
-        """Command the wanted values up to a time in s."""
+        """Command the targets up to a time in s."""
         if self._waiting is not None and self._waiting[1] < until:
             trajectory, start = self._waiting
             coordinates = self._simulation.sample().joint_coordinates

@@ -182,7 +182,7 @@ class Hand:
         motions = []
         for local in (np.zeros(3), *(free * turn)):
             still = layout.sample(sample.pose, sample.twist, sample.time, near=sample.angles)
-            still.wanted, still.motions, still.switching = sample.wanted, sample.motions, sample.switching
+            still.targets, still.motions, still.switching = sample.targets, sample.motions, sample.switching
             still.external = no_wrenches(layout.offsets)
             wrench = [*np.cross(grip.point, local), *local] if grip.axis is None else [*local, 0.0, 0.0, 0.0]
             set_wrench(still.external, grip.body, tuple(map(float, wrench)), "body")

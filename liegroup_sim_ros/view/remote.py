@@ -119,8 +119,8 @@ class Remote(Source):
         self._least, self._late = math.inf, 0.0  # s: smallest and present delay of a frame
         self._pose = np.tile(np.array([1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0, 0, 0, 0]), (len(names), 1))
         self._twist, self._stamps = np.zeros((len(names), 6)), [[-1, -1] for _ in names]
-        self._wanted = layout.wanted.copy()
-        self._inputs = Inputs(layout, StepGrid(GRID), layout.wanted.copy(), None)
+        self._targets = layout.targets.copy()
+        self._inputs = Inputs(layout, StepGrid(GRID), layout.targets.copy(), None)
         self._commands, self._acting, self._base_ns = {}, (), 0
         self._services, self._parameters, self._publishers = {}, None, {}
         known = dict(self._node.get_topic_names_and_types())
@@ -181,7 +181,7 @@ class Remote(Source):
         sample = self.layout.sample(self._pose, self._twist, seconds, near=near)
         sample.errors, sample.external = self._errors, self._external(stamp)
         sample.joint_efforts = dict(self._inputs.schedule.efforts)
-        sample.wanted, sample.switching = self._wanted, self._modes
+        sample.targets, sample.switching = self._targets, self._modes
         sample.motions = self.layout.motions_at(just_after(seconds), self._motions)
         accuracy, bound = self._figures.get("accuracy"), None
         if accuracy is not None:
@@ -204,7 +204,7 @@ class Remote(Source):
 
     def _take_targets(self, payload):
         _, _, position, velocity, _ = self._decode_targets(payload)
-        self._wanted = np.column_stack([position, velocity])
+        self._targets = np.column_stack([position, velocity])
 
     def _take_motions(self, payload):
         self._motions = np.reshape(decode_motions(payload)[1], self._motions.shape)

@@ -80,11 +80,11 @@ class State:
         self.angle = np.full(kinds.count_of_angles(self.forces), 20.0)  # three turns
         kinds.count_turns(self.forces, flat(pose), self.angle)
         self.acting = np.ones(len(self.forces.applied_wrench), dtype=bool)
-        self.wanted = kinds.wanted_values(self.forces)
+        self.targets = kinds.target_values(self.forces)
 
     def wrench(self, twist):
         out = np.zeros((3, 6))
-        kinds.add_wrenches(self.forces, self.angle, self.acting, self.wanted, flat(self.matrices), twist, out)
+        kinds.add_wrenches(self.forces, self.angle, self.acting, self.targets, flat(self.matrices), twist, out)
         return out
 
     def energy(self, motion=np.zeros((3, 6))):
@@ -93,7 +93,7 @@ class State:
         return kinds.energy(self.forces, self.angle, flat(moved))
 
     def power(self, twist):
-        return kinds.power(self.forces, self.angle, self.acting, self.wanted, flat(self.matrices), twist)
+        return kinds.power(self.forces, self.angle, self.acting, self.targets, flat(self.matrices), twist)
 
 
 def flat(matrices):
@@ -158,15 +158,15 @@ def test_the_change_of_the_wrench_is_its_derivative(kind, seed):
     Five-point differences of step 1e-3 leave 1e-12 of the fifth derivative, and eps / 1e-3 of the wrench: 1e-9 of it.
     """
     state, rng = State(kind, seed), np.random.default_rng([seed, 9])
-    moves, rates, targets = rng.normal(size=(3, 6)), rng.normal(size=(3, 6)), rng.normal(size=state.wanted.shape)
+    moves, rates, shifts = rng.normal(size=(3, 6)), rng.normal(size=(3, 6)), rng.normal(size=state.targets.shape)
     found, sums, at = np.zeros((3, 6)), np.zeros((3, 6)), np.zeros((1, 2))  # an offset of one row
-    given = state.forces, state.angle, state.acting, state.wanted, flat(state.matrices), state.twist
-    kinds.add_changes(*given, moves, rates, np.concatenate([at, targets]), 1, found)
+    given = state.forces, state.angle, state.acting, state.targets, flat(state.matrices), state.twist
+    kinds.add_changes(*given, moves, rates, np.concatenate([at, shifts]), 1, found)
     for step, weight in ((-2, 1.0), (-1, -8.0), (1, 8.0), (2, -1.0)):
         s, out = 1e-3 * step, np.zeros((3, 6))
         moved = flat([displaced(matrix, s * twist) for matrix, twist in zip(state.matrices, moves)])
-        wanted, twist = state.wanted + s * targets, state.twist + s * rates
-        kinds.add_wrenches(state.forces, state.angle, state.acting, wanted, moved, twist, out)
+        targets, twist = state.targets + s * shifts, state.twist + s * rates
+        kinds.add_wrenches(state.forces, state.angle, state.acting, targets, moved, twist, out)
         sums += weight * out / 12e-3
     size = max(1.0, np.abs(sums).max(), np.abs(state.wrench(state.twist)).max())
     assert np.abs(found - sums).max() <= 1e-8 * size
@@ -238,7 +238,9 @@ def test_without_rows_nothing_happens():
     state = State("drag", 0, described=[])
     wrench = np.random.default_rng(0).normal(size=(3, 6))
     before = wrench.tobytes()
-    kinds.add_wrenches(state.forces, state.angle, state.acting, state.wanted, flat(state.matrices), state.twist, wrench)
+    kinds.add_wrenches(
+        state.forces, state.angle, state.acting, state.targets, flat(state.matrices), state.twist, wrench
+    )
     assert wrench.tobytes() == before
     assert state.energy() == 0.0 and state.power(state.twist) == 0.0
     assert kinds.too_fast(state.forces, 1e9, flat(state.matrices), state.twist) == -1

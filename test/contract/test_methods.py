@@ -354,7 +354,7 @@ def test_the_error_norm_is_the_documented_one():
     """Maximum over bodies of |dxi|, |deta| / atol and |dw|, |dv| / (atol + rtol |velocity|)."""
     simulation = Simulation(mechanisms.named("chain of balls"), method="rkmk54", group="se3", rtol=3e-4, atol=2e-5)
     integrator = simulation._integrator
-    model, work = integrator.links
+    model, work = integrator.mechanism
     weights = METHODS["rkmk54"].tableau.e[0]
     n, stages = 3, len(weights)
     rng = np.random.default_rng(4)

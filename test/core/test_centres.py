@@ -20,7 +20,7 @@ from liegroup_core.scene.description import FORCES, JOINTS
 OF_FRAMES = {"pose", "twist", "rows", "poses", "twists", "positions", "pose_matrices"}
 OF_FRAMES |= {"accelerations", "child_frames", "external", "scene"}
 # None without an estimate, an accuracy, servos, driven joints, stops and friction.
-ABSENT = {"error", "errors", "bound", "wanted", "motions", "switching"}
+ABSENT = {"error", "errors", "bound", "targets", "motions", "switching"}
 
 
 def pair(name, seed=0):

@@ -143,7 +143,7 @@ forces:
 
 
 def test_a_servo_without_limits_of_position_does_not_jump_beyond_what_it_covers_in_a_second():
-    """4 rad from its wanted position, which moves with every command; rails without stiffness may."""
+    """4 rad from its target position, which moves with every command; rails without stiffness may."""
     scene = SERVOS.replace("lower: 0.5, upper: 2.0, velocity: 4.0", "velocity: 4.0")
     simulation = Simulation(scene_from_text(scene), "rkmk4", 1e-3)
     text = "joint 'hinge' cannot jump from 0 to 4.1 rad: approach it in steps of at most 4 rad"

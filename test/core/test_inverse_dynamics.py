@@ -69,7 +69,7 @@ def test_the_mass_matrix_is_that_of_the_kinetic_energy(name, space):
         simulation, model, work = solved(*random_mechanisms.random_mechanism(name, seed), space)
         M, _ = mass_matrix(model, work)
         rates = np.concatenate(
-            [row[:count] for row, count in zip(work.stage_twist[len(model.parts) :], model.bodies["freedoms"])]
+            [row[:count] for row, count in zip(work.stage_twist[len(model.bodies) :], model.links["freedoms"])]
         )
         twists = simulation.state()[1].ravel()
         energy = 0.5 * twists @ engine.masses(simulation.layout.centred) @ twists

@@ -308,10 +308,10 @@ def test_the_points_of_an_open_ball_joint_in_a_loop_accelerate_alike():
         scene = mechanisms.mechanism(rng, links, loops=[("b", "c", "spherical")])
         simulation = Engine(scene, "rkmk4", group="relative", space="space", quiet=True)
         model, work = engine.at_stage(simulation)
-        (joint,) = model.joints
+        (joint,) = model.cuts
         element = model.elements[joint["element"]]
-        first = len(model.parts)
-        for b in range(len(model.bodies)):
+        first = len(model.bodies)
+        for b in range(len(model.links)):
             away = rng.uniform(-0.4, 0.4, (len(work.acceleration), 1))
             displace(model, b, work.stage_pose, away, 0, work.stage_pose)
             work.stage_twist[first + b] = rng.uniform(-2.0, 2.0, 6)

@@ -170,7 +170,7 @@ def test_the_motion_is_that_in_space(name, normal):
     assert moved > 1e-3
     sizes = {"hinge": 1, "slider": 1, "plate": 3, "chain": 7, "tree": 5}
     tree = LOOPS[name][0] if name in LOOPS else name
-    assert int(planar.layout.relative.bodies["freedoms"].sum()) == sizes[tree]
+    assert int(planar.layout.relative.links["freedoms"].sum()) == sizes[tree]
 
 
 @pytest.mark.parametrize(
@@ -214,7 +214,7 @@ def test_accelerations_of_unlike_masses_against_50_digits(name):
 def test_planar_mechanisms_are_integrated_in_their_plane_unless_in_space():
     scene = load_scene("four_bar")
     models = [
-        type(Simulation(scene, method="rkmk8", **keys)._integrator.links[0])
+        type(Simulation(scene, method="rkmk8", **keys)._integrator.mechanism[0])
         for keys in ({}, {"space": "space"}, {"group": "se3"})
     ]
     assert models == [PlaneModel, RelativeModel, RelativeModel]

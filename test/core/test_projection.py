@@ -28,7 +28,7 @@ def disturbed(simulation, rng, size):
     Bodies that are welded together move together, and those of the world do not move.
     """
     pose, twist = simulation.state()
-    moves = simulation._integrator.links[0].parts["link"][:, None] >= 0
+    moves = simulation._integrator.mechanism[0].bodies["link"][:, None] >= 0
     displacement, change = size * rng.normal(size=(2, *twist.shape)) * moves
     pose = naive.flat(naive.matrices(pose) @ SE3.exp(displacement))
     return engine.placed(*engine.at_stage(simulation, pose, twist + change))
@@ -167,7 +167,7 @@ def test_a_constraint_without_solution_is_reported():
     simulation = Simulation(scene, method="rkmk4", group="se3", stabilisation="projection")
     simulation.advance(10)
     before = simulation.state()
-    simulation._integrator.links[0].elements["parameter"][1] += 100.0
+    simulation._integrator.mechanism[0].elements["parameter"][1] += 100.0
     status, _, _ = engine.projected(simulation, *before)
     assert status & 0xFF in (NOT_PROJECTED, DEPENDENT_ROWS)
     with pytest.raises(SimulationError, match="smaller step|singular pose") as failure:

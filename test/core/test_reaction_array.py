@@ -33,7 +33,7 @@ def test_the_array_has_the_reactions_of_a_sample(name):
 
 
 def test_wrenches_and_commands_count():
-    """What acts in a Sample acts in the array: wrenches, wanted values, motions; then no more."""
+    """What acts in a Sample acts in the array: wrenches, targets, motions; then no more."""
     top = Engine(load_scene("heavy_top"), quiet=True)
     top.apply_wrench("top", [0, 0, 0, 0, 300, 0], start=0.002, duration=0.003)
     free = Engine(load_scene("heavy_top"), quiet=True)

@@ -74,7 +74,7 @@ def law(mass, stiffness, damping):
 
 
 @pytest.mark.parametrize("method, group", GROUPS)
-def test_servos_are_damped_oscillators_about_wanted_values(method, group):
+def test_servos_are_damped_oscillators_about_targets(method, group):
     """Commands from 20.3 ms to 70.7 ms, inside steps, then the values of the scene again."""
     apart = []
     for step in (1e-3, 5e-4):
@@ -231,9 +231,9 @@ def test_wrong_servos_and_commands_are_refused():
     simulation = Simulation(scene(BENCH, f"{SERVO}}}"), "rkmk4", estimate=False)
     for arguments, text in (
         (("slide", 1.0), "joint 'slide' has no servo; choose one of: hinge"),
-        (("hinge", np.nan), "wanted position must be a finite number, got nan"),
-        (("hinge", 1.0, np.inf), "wanted velocity must be a finite number, got inf"),
-        (("hinge", "1"), "wanted position must be a finite number, got '1'"),
+        (("hinge", np.nan), "target position must be a finite number, got nan"),
+        (("hinge", 1.0, np.inf), "target velocity must be a finite number, got inf"),
+        (("hinge", "1"), "target position must be a finite number, got '1'"),
         (("hinge", 1.0, 0.0, None, -1.0), "duration must be positive"),
     ):
         with pytest.raises(ValueError, match=text):

@@ -95,7 +95,7 @@ def test_the_recorded_state_continues_bit_for_bit_at_any_step(scene, options, st
 
 
 def test_a_recorded_state_continues_with_another_method_and_step():
-    """Its wrenches, wanted values, and whole turns of joints with stops are those of the state."""
+    """Its wrenches, targets, and whole turns of joints with stops are those of the state."""
     scene = scene_from_text(SERVO.replace("hinge, type", "hinge, friction: {coulomb: 0.01}, type"))
     simulation = Simulation(scene, quiet=True, method="rkmk4", step=1e-3)
     simulation.advance(500)

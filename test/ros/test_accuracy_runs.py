@@ -192,7 +192,7 @@ forces:
 
 @pytest.mark.turn(3)
 def test_parts_with_joint_commands_repeat_alone(ros_node, tmp_path, monkeypatch):
-    """Efforts, wanted values and a trajectory that span parts, a limit that is reached, a reset."""
+    """Efforts, targets and a trajectory that span parts, a limit that is reached, a reset."""
     monkeypatch.setattr(real_time, "SHARE", math.inf)
     (tmp_path / "arm.yaml").write_text(ARM)
     given = {"record": tmp_path / "run.mcap", "record_split_duration": 0.23, "clock_rate": 50.0}

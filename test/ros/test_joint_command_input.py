@@ -65,7 +65,7 @@ def test_a_message_commands_some_of_the_joints(layout, fields, efforts):
     assert reader.accepted == 1 and not any(reader.refused.values())
 
 
-def test_positions_and_velocities_are_wanted_values_of_servos(layout):
+def test_positions_and_velocities_are_targets_of_servos(layout):
     reader = JointCommandInput(layout, 0.02)
     for fields, target in (
         ({"names": ["pin"], "position": [2.0], "velocity": [3.0]}, ("pin", 2.0, 3.0)),

@@ -31,7 +31,7 @@ forces:
 
 
 def hinge_after(state, position, velocity, t):
-    """Angle and rate of the hinge after a time with constant wanted values."""
+    """Angle and rate of the hinge after a time with constant targets."""
     matrix = np.zeros((3, 3))
     matrix[0, 1] = 1.0
     matrix[1] = -40 / 0.5, -3 / 0.5, (40 * position + 3 * velocity) / 0.5
@@ -64,7 +64,7 @@ def node(client, process):
     return process.node
 
 
-def test_a_position_and_velocity_are_wanted_values_from_their_stamp(client, node):
+def test_a_position_and_velocity_are_targets_from_their_stamp(client, node):
     now = node.now()
     node.command(now + 20_300_000, name=["hinge"], position=[-0.7], velocity=[2.0])
     node.command(now + 70_700_000, name=["slide", "hinge"], position=[math.nan, 0.5])

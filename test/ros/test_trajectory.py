@@ -135,7 +135,7 @@ BEYOND = [
 
 
 @pytest.mark.parametrize("rows, at_once, at_start", BEYOND)
-def test_wanted_values_of_a_servo_beyond_its_limits_are_refused(rows, at_once, at_start):
+def test_targets_of_a_servo_beyond_its_limits_are_refused(rows, at_once, at_start):
     """Segments between points at once, the first one when it starts, as it depends on the state then.
 
     A cubic to rest at the same position in time T goes 4/27 v T farther: from 8 rad/s in 0.5 s 0.5926 rad.
@@ -178,7 +178,7 @@ def test_servos_follow_a_trajectory():
     assert found[-1] == pytest.approx(1.0, abs=1e-6) and follower.is_idle
 
 
-def test_the_wanted_values_are_those_of_the_middle_of_each_period():
+def test_the_targets_are_those_of_the_middle_of_each_period():
     """Half the period, a fourth of the deviation, in an arc that both periods divide."""
     apart = []
     for period in (0.02, 0.01, 1e-4):

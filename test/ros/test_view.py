@@ -156,7 +156,7 @@ def test_a_scene_is_pulled_by_the_mouse_and_repeats_bit_by_bit(opened, tmp_path)
     slider.focus()
     for _ in range(5):
         slider.press("ArrowRight")
-    wait_for(lambda: source.frame().sample.wanted[0, 0] > 0.0, "command of the slider")
+    wait_for(lambda: source.frame().sample.targets[0, 0] > 0.0, "command of the slider")
     shown.get_by_role("tab", name="Events").click()
     shown.get_by_text("paused at step").first.wait_for()
     assert shown.get_by_text(CODE).count() and not shown.locator("img[src=x]").count()

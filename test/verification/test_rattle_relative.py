@@ -64,7 +64,7 @@ def end(scene, step=STEP, steps=STEPS, method=METHOD, **settings):
 @pytest.mark.turn(3)
 def test_the_scenes_have_all_groups_of_joints_and_planes():
     models = [Engine(scene, METHOD, group="relative", quiet=True).layout.relative for scene in scenes().values()]
-    groups = {group for model in models for group in model.bodies["group"].tolist()}
+    groups = {group for model in models for group in model.links["group"].tolist()}
     assert groups == set(range(len(FREEDOMS))) - {DIRECT}
     assert sum(isinstance(model, PlaneModel) for model in models) >= (10 if VERIFY else 5)
 

@@ -74,7 +74,7 @@ def references():
 
 def test_the_tree_has_all_groups():
     model = Simulation(mechanism("tree"), group="relative").layout.relative
-    assert set(model.bodies["group"]) == set(range(len(FREEDOMS))) - {DIRECT}
+    assert set(model.links["group"]) == set(range(len(FREEDOMS))) - {DIRECT}
 
 
 @pytest.mark.parametrize("problem", LINKS)

@@ -189,6 +189,6 @@ def test_other_groups_open_the_same_trees():
         assert opening(scene, "rkmk4", 0.002, group)[0] > 1e3
 
     def displace(relative):
-        relative.bodies["point"][:, 0] += 1e-11
+        relative.links["point"][:, 0] += 1e-11
 
     assert opening(scene, "rkmk4", 0.002, spoil=displace)[0] > 10.0

@@ -32,12 +32,12 @@ from .arrays import set_end, set_size, sigma
 @kernel
 def begin(model, work, memory, pose, twist):
     """Write the rates of all links to memory.velocity."""
-    n = len(model.parts)
-    for b in range(len(model.bodies)):
-        first = model.bodies[b]["freedom"]
-        for k in range(model.bodies[b]["freedoms"]):
+    n = len(model.bodies)
+    for b in range(len(model.links)):
+        first = model.links[b]["freedom"]
+        for k in range(model.links[b]["freedoms"]):
             memory.velocity[first + k] = twist[n + b, k]
-        if is_direct(model, model.bodies[b]):
+        if is_direct(model, model.links[b]):
             v = to_world(pose, n + b, load3(twist, n + b, 3))
             memory.velocity[first + 3], memory.velocity[first + 4], memory.velocity[first + 5] = v
 
@@ -53,10 +53,10 @@ def set_unknowns(model, work, memory, pose, twist, external):
     f = len(memory.rate)
     for k in range(f):
         memory.x[k] = work.acceleration[k, 0]
-    n = len(model.parts)
-    for b in range(len(model.bodies)):
-        if is_direct(model, model.bodies[b]):
-            at, w, v = (model.bodies[b]["freedom"] + 3, load3(twist, n + b, 0), load3(twist, n + b, 3))
+    n = len(model.bodies)
+    for b in range(len(model.links)):
+        if is_direct(model, model.links[b]):
+            at, w, v = (model.links[b]["freedom"] + 3, load3(twist, n + b, 0), load3(twist, n + b, 3))
             rate = to_world_rate(pose, n + b, w, v, load_column(work.acceleration, at, 0))
             memory.x[at], memory.x[at + 1], memory.x[at + 2] = rate
     for r in range(len(work.multipliers)):
@@ -68,17 +68,17 @@ def set_unknowns(model, work, memory, pose, twist, external):
 def move(model, work, memory, numbers, h, pose):
     """Write the end of the step for memory.x to the links at the stage. Returns a status."""
     set_end(memory, numbers, h)
-    n, largest = len(model.parts), 0.0
-    for b in range(len(model.bodies)):
-        first = model.bodies[b]["freedom"]
+    n, largest = len(model.bodies), 0.0
+    for b in range(len(model.links)):
+        first = model.links[b]["freedom"]
         rotation = displace(model, b, pose, memory.psi, first, work.stage_pose)
         # NaN propagates.
         if not rotation <= largest:
             largest = rotation
-        for k in range(model.bodies[b]["freedoms"]):
+        for k in range(model.links[b]["freedoms"]):
             work.stage_twist[n + b, k] = memory.end[first + k]
             memory.body_rate[first + k, 0] = memory.x[first + k]
-        if is_direct(model, model.bodies[b]):
+        if is_direct(model, model.links[b]):
             v = to_link(work.stage_pose, n + b, load3(work.stage_twist, n + b, 3))
             store3(v, work.stage_twist, n + b, 3)
             rate = memory.x[first + 3], memory.x[first + 4], memory.x[first + 5]
@@ -102,11 +102,11 @@ def residual(model, work, memory, numbers, h, pose, external):
         work.multipliers[r] = memory.x[f + r]
     applied = model.space.forces.exist or work.pushed[0] > 0.0
     move_links(model, work)
-    if applied or len(model.joints) > 0:
+    if applied or len(model.cuts) > 0:
         place_links(model, work)
     if applied:
         apply_forces(model, work, external)
-    if len(model.joints) > 0:
+    if len(model.cuts) > 0:
         set_rows(model, work)
         set_slopes(model, work)
         lift_links(model, work)
@@ -120,7 +120,7 @@ def residual(model, work, memory, numbers, h, pose, external):
 @kernel
 def finish(model, work, memory, h):
     """Check and normalise the end of the step, place the bodies, unwrap angles. Returns a status."""
-    for b in range(len(model.bodies)):
+    for b in range(len(model.links)):
         normalise(model, b, work.stage_pose)
     link_state.place(model, work, work.stage_pose, work.stage_twist)
     status = end_status(model.space.forces, h, work.stage_pose, work.stage_twist)

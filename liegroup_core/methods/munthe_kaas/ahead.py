@@ -127,7 +127,7 @@ def _rows_differ(present, lead):
 def meet_inputs(work, external, control):
     """Keep the inputs; if they change, go back to the caller's state."""
     differs = _rows_differ(external, work.lead_external)
-    differs = _rows_differ(work.wanted, work.lead_wanted) or differs
+    differs = _rows_differ(work.targets, work.lead_targets) or differs
     differs = _rows_differ(work.motions, work.lead_motions) or differs
     differs = _differs(work.acting, work.lead_acting) or differs
     if differs:

@@ -64,7 +64,7 @@ def _error(model, work, scheme, h, twist, control):
     """Norm of the error estimate of a step from `twist`, accepted up to 1, and e_3 if there are two."""
     largest, largest_3, rtol, length = 0.0, 0.0, control.rtol[0], control.length[0]
     atol = control.atol[0] + h * work.report[ROUND_OFF] + control.rounded[0] / h
-    for i in range(len(model.bodies)):
+    for i in range(len(model.links)):
         error = steps.error_square(model, work, scheme, 0, h, twist, i, rtol, atol, length)
         if len(scheme.error) == 2:
             other = steps.error_square(model, work, scheme, 1, h, twist, i, rtol, atol, length)

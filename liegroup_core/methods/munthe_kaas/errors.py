@@ -17,12 +17,12 @@ from liegroup_core.motion_groups.direct import to_link
 def _difference(model, work, scheme, row, h, i):
     """Write the differences of the degrees of freedom of link i to work.difference: algebra, qdot."""
     count, parts = len(work.freedoms), work.difference
-    for k in range(model.bodies[i]["freedoms"]):
+    for k in range(model.links[i]["freedoms"]):
         psi, dq = 0.0, 0.0
         for stage in range(scheme.error.shape[1]):
             weight = scheme.error[row, stage]
             if weight != 0.0:
-                at = stage * count + model.bodies[i]["freedom"] + k
+                at = stage * count + model.links[i]["freedom"] + k
                 psi += weight * work.slopes[at, 0]
                 dq += weight * work.slopes[at, 1]
         parts[0, k], parts[1, k] = h * psi, h * dq
@@ -46,7 +46,7 @@ def _of_link(model, work, i, place):
     a = link["parent"]
     if a == WORLD:
         if is_direct(model, link):
-            pose, at = work.stage_pose, len(model.parts) + i
+            pose, at = work.stage_pose, len(model.bodies) + i
             return moved[0], to_link(pose, at, moved[1]), rate[0], to_link(pose, at, rate[1])
         return moved[0], moved[1], rate[0], rate[1]
     rot, p = lifted(model, relative(model, work, i))
@@ -57,13 +57,13 @@ def _of_link(model, work, i, place):
 def error_square(model, work, scheme, row, h, twist, i, rtol, atol, length):
     """Square of an error estimate of the body that represents link i; see error_control.py."""
     _difference(model, work, scheme, row, h, i)
-    place = row * len(model.bodies)
+    place = row * len(model.links)
     xi, eta, dw, dv = _of_link(model, work, i, place)
     store3(xi, work.errors, place + i, 0)
     store3(eta, work.errors, place + i, 3)
     store3(dw, work.errors, place + i, 6)
     store3(dv, work.errors, place + i, 9)
-    link = model.bodies[i]
+    link = model.links[i]
     body = link["body"]
     if body < 0:
         return 0.0

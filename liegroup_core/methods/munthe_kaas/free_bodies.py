@@ -28,7 +28,7 @@ from .series import dexpinv_series
 def move_bodies(model, work, scheme, h, stage, end, pose_in):
     """Set all bodies to X_0 exp Psi of a stage; returns the largest squared rotation."""
     pose = borrowed(pose_in)
-    n, slopes, largest = len(model.parts), work.slopes, 0.0
+    n, slopes, largest = len(model.bodies), work.slopes, 0.0
     for i in range(n):
         xi, eta, dw, dv = ZERO3, ZERO3, ZERO3, ZERO3
         for other in range(stage):
@@ -59,7 +59,7 @@ def move_bodies(model, work, scheme, h, stage, end, pose_in):
 @subroutine
 def store_slopes_of_bodies(model, work, scheme, stage):
     """Stage derivatives k of all bodies, from the accelerations of a stage."""
-    n, slopes = len(model.parts), work.slopes
+    n, slopes = len(model.bodies), work.slopes
     for i in range(n):
         w, v, at = (load3(work.stage_twist, n + i, 0), load3(work.stage_twist, n + i, 3), 6 * (stage * n + i))
         if stage > 0:

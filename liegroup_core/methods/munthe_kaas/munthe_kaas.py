@@ -166,8 +166,8 @@ class MuntheKaas:
         work, control = self._work, self._control
         if control.next_base[0] != control.limit_base[0] or control.next[0] != control.limit[0]:
             return True
-        now = external, work.wanted, work.motions, work.acting
-        then = work.lead_external, work.lead_wanted, work.lead_motions, work.lead_acting
+        now = external, work.targets, work.motions, work.acting
+        then = work.lead_external, work.lead_targets, work.lead_motions, work.lead_acting
         return any((one != other).any() for one, other in zip(now, then) if len(one))
 
     @property
@@ -217,7 +217,7 @@ class MuntheKaas:
         self.restart()
 
     @property
-    def links(self):
+    def mechanism(self):
         """(RelativeModel, RelativeWork) of the method."""
         return self._model, self._work
 
@@ -233,7 +233,7 @@ class MuntheKaas:
         known = work.kept_slopes[: blocks * 2 * self.freedoms // work.kept_slopes.shape[1]]
         lead = (
             (work.pose, work.twist, work.lead_angle, work.kept_pose, work.kept_twist, known)
-            + (work.kept_angle, work.lead_external, work.lead_wanted, work.lead_acting, work.lead_motions)
+            + (work.kept_angle, work.lead_external, work.lead_targets, work.lead_acting, work.lead_motions)
             + (work.lead_coordinates, work.kept_coordinates, work.watch[SPAN:], work.crossed)
             if self._may_run_ahead
             else ()

@@ -44,7 +44,7 @@ def passage(
     counts,
     places,
     wrenches,
-    wanted,
+    targets,
     motions,
     pose_in,
     twist_in,
@@ -61,19 +61,19 @@ def passage(
     counts   : (m,) equal steps of each part
     places   : (m + 1,) row of the kept states for each time, -1: not kept
     wrenches : (m n, COLUMNS) external wrenches of each part, see forces/external.py
-    wanted   : (m s, 2) wanted positions and velocities of the servos
+    targets  : (m s, 2) target positions and velocities of the servos
     motions  : (m d, 7) motions of the driven joints
     kept, angles_out : (poses (k n, 12), twists (k n, 6), modes (k s, 5)) and unwrapped angles (k, a) of kept states
     returns (parts done, status), see `advance`
     """
     pose_now, twist_now, inputs = borrowed(pose_in), borrowed(twist_in), borrowed(external_in)
-    n, servos = len(pose_now), len(work.wanted)
+    n, servos = len(pose_now), len(work.targets)
     driven, watching = len(work.motions), watches(model, work)
     for k in range(len(counts)):
         if places[k] >= 0:
             _keep(model, work, pose_now, twist_now, places[k], kept[0], kept[1], kept[2], angles_out)
         _copy_rows(wrenches, k * n, inputs)
-        _copy_rows(wanted, k * servos, work.wanted)
+        _copy_rows(targets, k * servos, work.targets)
         _copy_rows(motions, k * driven, work.motions)
         keep_turns(work, work.start_angle, work.start_coordinates)
         pose, twist, external, status = enter(model, work, pose_now, twist_now, inputs)

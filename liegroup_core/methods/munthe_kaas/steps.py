@@ -49,15 +49,15 @@ def _add_slopes(h, weights, row, stages, slopes, count, to):
 @kernel
 def move(model, work, scheme, h, stage, end, pose):
     """Set all links to X_0 exp Psi of a stage; at the end of a step, also the bodies if needed."""
-    n, count = len(model.parts), len(work.freedoms)
+    n, count = len(model.bodies), len(work.freedoms)
     first = stage * count
-    largest, links = 0.0, len(model.bodies)
+    largest, links = 0.0, len(model.links)
     if model.only_free_bodies:
         largest, links = move_bodies(model, work, scheme, h, stage, end, pose), 0
     else:
         _add_slopes(h, scheme.a, stage, stage, work.slopes, count, first)
     for b in range(links):
-        link = model.bodies[b]
+        link = model.links[b]
         f = first + link["freedom"]
         largest = max(largest, displace(model, b, pose, work.slopes, f, work.stage_pose))
         if end:
@@ -86,13 +86,13 @@ def accelerate(model, work, external):
 @kernel
 def store_slopes(model, work, scheme, stage):
     """Compute k of all links from the accelerations of a stage."""
-    n, count = len(model.parts), len(work.freedoms)
+    n, count = len(model.bodies), len(work.freedoms)
     first = stage * count
     if model.only_free_bodies:
         store_slopes_of_bodies(model, work, scheme, stage)
         return
-    for b in range(len(model.bodies)):
-        link = model.bodies[b]
+    for b in range(len(model.links)):
+        link = model.links[b]
         f, row = link["freedom"], n + b
         at = first + f
         # At stage 0 Psi is zero, and dexp^-1 the identity.
@@ -151,10 +151,10 @@ def count_turns(model, work):
 @kernel
 def rest(model, work, twist):
     """Set the rates of held freedoms to zero: those of a state that was entered have round-off."""
-    n = len(model.parts)
-    for b in range(len(model.bodies)):
-        for k in range(model.bodies[b]["freedoms"]):
-            if work.held[model.bodies[b]["freedom"] + k] != 0.0:
+    n = len(model.bodies)
+    for b in range(len(model.links)):
+        for k in range(model.links[b]["freedoms"]):
+            if work.held[model.links[b]["freedom"] + k] != 0.0:
                 twist[n + b, k] = 0.0
 
 

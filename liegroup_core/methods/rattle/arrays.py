@@ -43,7 +43,7 @@ class RattleMemory(Struct):
 
 def make_memory(model):
     """Allocate a RattleMemory of a RelativeModel."""
-    links = model.bodies
+    links = model.links
     mass = np.where(links["mass"] > 0.0, links["mass"], 1.0)[:, None]
     centre = links["moment"] / mass
     moment = np.einsum("bi,bj->bij", links["moment"], centre)

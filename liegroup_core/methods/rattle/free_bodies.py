@@ -44,14 +44,14 @@ def loads_of_bodies(model, work, external_in):
     copy_bodies(model, work.stage_pose, work.stage_twist, pose, twist)
     set_external_wrenches(external, pose, work.wrench)
     add_gravity(model.space, pose, work.wrench)
-    add_wrenches(model.space.forces, work.angle, work.acting, work.wanted, pose, twist, work.wrench)
+    add_wrenches(model.space.forces, work.angle, work.acting, work.targets, pose, twist, work.wrench)
     return 0
 
 
 @subroutine
 def first_half_of_bodies(model, work, memory, h):
     """Find V' and the poses at the end of a substep, from Q in memory.load. Returns a status."""
-    n, bodies = len(model.parts), model.space.bodies
+    n, bodies = len(model.bodies), model.space.bodies
     copy_state(work.stage_pose, work.stage_twist, work.start_pose, work.start_twist)
     memory.turned[0] = 0.0
     for i in range(n):
@@ -83,7 +83,7 @@ def first_half_of_bodies(model, work, memory, h):
 @subroutine
 def second_half_of_bodies(model, work, memory, h, external_in):
     """Find V+ at the end of a substep, as the twists at the stage, and Q+. Returns a status."""
-    external, n, bodies = borrowed(external_in), len(model.parts), model.space.bodies
+    external, n, bodies = borrowed(external_in), len(model.bodies), model.space.bodies
     for i in range(n):
         inertia, inverse = matrix3(bodies[i]["inertia"]), matrix3(bodies[i]["inverse_inertia"])
         x, row = load3(memory.moves, i, 0), n + i

@@ -63,7 +63,7 @@ def _move(model, work, is_placed):
     move_links(model, work)
     if is_placed:
         return 0
-    if len(model.joints) > 0 or _has_applied(model, work):
+    if len(model.cuts) > 0 or _has_applied(model, work):
         place_links(model, work)
     return 0
 
@@ -74,7 +74,7 @@ def _loads(model, work, memory, external):
     external = borrowed(external)
     weigh(model, work, memory)
     if _has_applied(model, work):
-        for b in range(len(model.bodies)):
+        for b in range(len(model.links)):
             for c in range(work.applied.shape[1]):
                 work.applied[b, c] = 0.0
         apply_forces(model, work, external)
@@ -86,7 +86,7 @@ def _loads(model, work, memory, external):
 def begin(model, work, memory, pose, twist, external, fresh):
     """Set the stage to the state, and Q there."""
     if fresh:
-        for row in range(len(model.parts), len(pose)):
+        for row in range(len(model.bodies), len(pose)):
             for c in range(12):
                 work.stage_pose[row, c] = pose[row, c]
             for c in range(6):
@@ -95,7 +95,7 @@ def begin(model, work, memory, pose, twist, external, fresh):
             _move(model, work, False)
     if model.only_free_bodies:
         loads_of_bodies(model, work, external)
-        for i in range(len(model.parts)):
+        for i in range(len(model.bodies)):
             for c in range(6):
                 memory.load[i, c] = work.wrench[i, c]
         return
@@ -109,11 +109,11 @@ def _extrapolate(model, work, memory, h):
     (2/h) (psi/h - qdot) is the acceleration at h/3 after the start of a substep, up to O(h^2).
     returns the time in s between these points of the last substep and of this one
     """
-    n = len(model.parts)
+    n = len(model.bodies)
     since, ahead = times_between(memory, h)
-    for b in range(len(model.bodies)):
-        first = model.bodies[b]["freedom"]
-        for k in range(model.bodies[b]["freedoms"]):
+    for b in range(len(model.links)):
+        first = model.links[b]["freedom"]
+        for k in range(model.links[b]["freedoms"]):
             f = first + k
             mean = memory.bias[f] + ahead * memory.growth[f]
             memory.psi[f, 0] = h * (work.stage_twist[n + b, k] + 0.5 * h * mean)
@@ -125,10 +125,10 @@ def _store_history(model, work, memory, h, since):
     """Store psi of a finished substep for `_extrapolate`."""
     # With backward substeps these points may be too close in time for a difference quotient.
     are_apart = memory.size[0] != 0.0 and abs(since) > 0.2 * abs(h)
-    n = len(model.parts)
-    for b in range(len(model.bodies)):
-        first = model.bodies[b]["freedom"]
-        for k in range(model.bodies[b]["freedoms"]):
+    n = len(model.bodies)
+    for b in range(len(model.links)):
+        first = model.links[b]["freedom"]
+        for k in range(model.links[b]["freedoms"]):
             f = first + k
             bias = 2.0 / h * (memory.psi[f, 0] / h - work.stage_twist[n + b, k])
             if are_apart:
@@ -145,11 +145,11 @@ def _correct(model, work, memory, h, k, is_open):
     is_open    : False: the cut joints are closed, so that work.gap is not corrected
     returns (largest component of the correction, largest one of psi)
     """
-    if len(model.joints) > 0:
+    if len(model.cuts) > 0:
         add_multipliers(model, work)
     add_rotor_impulses(model, work, memory, h)
     gather_forces(model, work)
-    if len(model.joints) > 0:
+    if len(model.cuts) > 0:
         for r in range(len(work.bias)):
             work.bias[r] = -work.gap[model.row_residual[r]] / h if is_open else 0.0
         set_response_residual(model, work)
@@ -172,14 +172,14 @@ def _correct(model, work, memory, h, k, is_open):
 def _length(model, memory):
     """Largest term in the residuals of the cut joints, m or rad."""
     length = 0.0
-    for j in range(len(model.joints)):
-        joint = model.joints[j]
-        element = model.elements[joint["element"]]
+    for j in range(len(model.cuts)):
+        cut = model.cuts[j]
+        element = model.elements[cut["element"]]
         length = max(length, abs(element["parameter"]))
         for c in range(3):
-            length = max(length, abs(memory.world[joint["child"], 9 + c]))
+            length = max(length, abs(memory.world[cut["child"], 9 + c]))
             length = max(length, abs(element["child_point"][c]))
-        for r in range(joint["first"], joint["first"] + joint["rows"]):
+        for r in range(cut["first"], cut["first"] + cut["rows"]):
             length = max(length, float(model.row_turns[r]))
     return length
 
@@ -195,7 +195,7 @@ def first_half(model, work, memory, h, fresh):
         return first_half_of_bodies(model, work, memory, h)
     if fresh:
         gather_alone(model, work)
-        if len(model.joints) > 0:
+        if len(model.cuts) > 0:
             found = set_loops(model, work)
             if found >= 0:
                 return DEPENDENT_ROWS + (model.owners[found] << 8)
@@ -211,7 +211,7 @@ def first_half(model, work, memory, h, fresh):
         if done:
             break
         closed, length = True, 0.0
-        if len(model.joints) > 0:
+        if len(model.cuts) > 0:
             place_ends(model, work, memory)
             position_residuals(model, memory.world, work.gap)
             set_coupled_gaps(model, work, memory.psi, 1)
@@ -231,10 +231,10 @@ def first_half(model, work, memory, h, fresh):
     if not done:
         return NOT_CONVERGED
     _store_history(model, work, memory, h, since)
-    n = len(model.parts)
-    for b in range(len(model.bodies)):
-        first = model.bodies[b]["freedom"]
-        for k in range(model.bodies[b]["freedoms"]):
+    n = len(model.bodies)
+    for b in range(len(model.links)):
+        first = model.links[b]["freedom"]
+        for k in range(model.links[b]["freedoms"]):
             # 2 V' - V, the initial guess of V+
             work.stage_twist[n + b, k] = 2.0 / h * memory.psi[first + k, 0] - work.stage_twist[n + b, k]
         move_coordinates(model, b, memory.psi, work.stage_pose)
@@ -245,10 +245,10 @@ def first_half(model, work, memory, h, fresh):
 @kernel
 def _set_rates(model, work):
     """Set the rates of all links to work.acceleration."""
-    n = len(model.parts)
-    for b in range(len(model.bodies)):
-        first = model.bodies[b]["freedom"]
-        for k in range(model.bodies[b]["freedoms"]):
+    n = len(model.bodies)
+    for b in range(len(model.links)):
+        first = model.links[b]["freedom"]
+        for k in range(model.links[b]["freedoms"]):
             work.stage_twist[n + b, k] = work.acceleration[first + k, 0]
 
 
@@ -260,11 +260,11 @@ def _change_rates(model, work, memory, h, k):
     last correction minus the response to the change of Q+, which become small numbers.
     returns (largest component of the correction, largest rate)
     """
-    for b in range(len(model.bodies)):
+    for b in range(len(model.links)):
         for c in range(work.force.shape[1]):
             work.force[b, c] = -0.5 * h * (memory.load[b, c] - memory.last_load[b, c])
     gather_forces(model, work)
-    if len(model.joints) > 0:
+    if len(model.cuts) > 0:
         for r in range(len(work.bias)):
             work.bias[r] = 0.0
         set_response_residual(model, work)
@@ -279,10 +279,10 @@ def _change_rates(model, work, memory, h, k):
     for f in range(len(memory.residual)):
         step[k, f] = -memory.residual[f]
     broyden(step, k, 0.5)
-    n, change, speed = len(model.parts), 0.0, 0.0
-    for b in range(len(model.bodies)):
-        first = model.bodies[b]["freedom"]
-        for i in range(model.bodies[b]["freedoms"]):
+    n, change, speed = len(model.bodies), 0.0, 0.0
+    for b in range(len(model.links)):
+        first = model.links[b]["freedom"]
+        for i in range(model.links[b]["freedoms"]):
             rate = step[k, first + i]
             work.stage_twist[n + b, i] += rate
             # NaN propagates.
@@ -313,7 +313,7 @@ def second_half(model, work, memory, h, external):
         memory.residual[f] = 0.0
     previous = math.inf
     for repeat in range(MAX_REPEATS):
-        for b in range(len(model.bodies)):
+        for b in range(len(model.links)):
             for c in range(memory.load.shape[1]):
                 memory.last_load[b, c] = memory.load[b, c]
         _loads(model, work, memory, external)

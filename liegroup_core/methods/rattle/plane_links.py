@@ -20,10 +20,10 @@ def displace_links(model, work, memory, h):
 
     Uses the coordinates of the start in work.stage_pose.
     """
-    n, moves, pose, psi = len(model.parts), memory.moves, work.stage_pose, memory.psi
+    n, moves, pose, psi = len(model.bodies), memory.moves, work.stage_pose, memory.psi
     largest = 0.0
-    for b in range(len(model.links)):
-        link = model.links[b]
+    for b in range(len(model.plane_links)):
+        link = model.plane_links[b]
         a, group, f, row = link["parent"], link["group"], link["freedom"], n + b
         angle, x, y = psi[f, 0], 0.0, 0.0
         if group == SLIDE:
@@ -74,12 +74,12 @@ def place_ends(model, work, memory):
 @kernel
 def weigh(model, work, memory):
     """Write the acceleration of gravity in link axes to memory.weight, weights to memory.load."""
-    n, g = len(model.parts), load3(model.space.gravity, 0, 0)
+    n, g = len(model.bodies), load3(model.space.gravity, 0, 0)
     axes = load9(model.axes, 0, 0)
     world_x = axes[0] * g[0] + axes[3] * g[1] + axes[6] * g[2]
     world_y = axes[1] * g[0] + axes[4] * g[1] + axes[7] * g[2]
-    for b in range(len(model.links)):
-        link = model.links[b]
+    for b in range(len(model.plane_links)):
+        link = model.plane_links[b]
         a, row = link["parent"], n + b
         x, y = world_x, world_y
         if a != WORLD:
@@ -94,7 +94,7 @@ def weigh(model, work, memory):
 @kernel
 def transport(model, work, memory):
     """Write M V'+ of all links, about the origin and in the axes of the end, to memory.impulse."""
-    for b in range(len(model.links)):
+    for b in range(len(model.plane_links)):
         less, s = memory.moves[b, 1], memory.moves[b, 2]
         spin, x, y = load3(memory.half, b, 0)
         x, y = x + (less * x + s * y), y + (less * y - s * x)

@@ -96,8 +96,8 @@ def displace_links(model, work, memory, h):
     """
     moves, half = memory.moves, memory.half
     largest = turned = 0.0
-    for b in range(len(model.bodies)):
-        link = model.bodies[b]
+    for b in range(len(model.links)):
+        link = model.links[b]
         a = link["parent"]
         x, t = table.column_twist(link, memory.psi, link["freedom"])
         c, q, angle = _half_turn(x)
@@ -163,8 +163,8 @@ def place_ends(model, work, memory):
 def weigh(model, work, memory):
     """Write the acceleration of gravity in link axes to memory.weight, weights to memory.load."""
     g = load3(model.space.gravity, 0, 0)
-    for b in range(len(model.bodies)):
-        link = model.bodies[b]
+    for b in range(len(model.links)):
+        link = model.links[b]
         a = link["parent"]
         above = g if a == WORLD else load3(memory.weight, a, 0)
         own = tmatvec3(load9(work.relative, b, 0), above)
@@ -176,7 +176,7 @@ def weigh(model, work, memory):
 @kernel
 def transport(model, work, memory):
     """Write M V'+ of all links, about the origin and in the axes of the end, to memory.impulse."""
-    for b in range(len(model.bodies)):
+    for b in range(len(model.links)):
         c, q = memory.moves[b, 0], load3(memory.moves, b, 1)
         angular = _turned_back(c, q, load3(memory.half, b, 0))
         linear = _turned_back(c, q, load3(memory.half, b, 3))

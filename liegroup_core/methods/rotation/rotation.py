@@ -99,7 +99,7 @@ def advance(model, work, spinners, memory, loads, corrections, rule, weights, h,
             set_external_wrenches(external, work.stage_pose, work.wrench)
             add_gravity(model, work.stage_pose, work.wrench)
             add_wrenches(
-                model.forces, work.angle, work.acting, work.wanted, work.stage_pose, work.stage_twist, work.wrench
+                model.forces, work.angle, work.acting, work.targets, work.stage_pose, work.stage_twist, work.wrench
             )
             if rule == RUNGE_KUTTA:
                 status, finished = staged(spinners, work, memory, weights, h, evaluation, pose, twist)

@@ -84,7 +84,7 @@ def ladders(layout, methods=None, groups=None, stabilisations=None):
             continue
         family = METHODS[method].family
         for group in _groups(method, layout, groups):
-            drifts = layout.relative.joints if group == RELATIVE else layout.scene.joints
+            drifts = layout.relative.cuts if group == RELATIVE else layout.scene.joints
             for kind in stabilisations or STABILISATIONS:
                 if kind == "none" or (family == "rkmk" and len(drifts)):
                     found.append(Ladder(method, group, kind))
