@@ -33,7 +33,7 @@ class EventTimes(ModeChanges):
 
     take    : function (h, steps, pose, twist, external) -> (steps done, status)
     step    : the same, without error control
-    control : Control
+    control : SubstepControl
 
     parts   : number of steps up to an event. The event's time sets their size; another number of parts
               shows their error, see RunningError

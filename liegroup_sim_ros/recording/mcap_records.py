@@ -37,7 +37,7 @@ class Damaged(Exception):
     """Bytes that violate the format or its checksums."""
 
 
-class Misfit(Damaged):
+class DamagedLength(Damaged):
     """Sizes in a record that contradict its length."""
 
 
@@ -95,11 +95,11 @@ def parsed(kind, body):
 def chunk_head(body):
     """ChunkHead of a chunk; its first 56 bytes suffice. Raises Damaged."""
     if len(body) < CHUNK.size:
-        raise Misfit("a damaged chunk")
+        raise DamagedLength("a damaged chunk")
     first_ns, last_ns, size, checksum, name_length = CHUNK.unpack_from(body)
     data_start = CHUNK.size + name_length + 8
     if name_length > 16 or len(body) < data_start:
-        raise Misfit("a damaged chunk")
+        raise DamagedLength("a damaged chunk")
     compression = body[CHUNK.size : CHUNK.size + name_length]
     (length,) = struct.unpack_from("<Q", body, data_start - 8)
     return ChunkHead(first_ns, last_ns, size, checksum, compression, data_start, length)
@@ -156,9 +156,9 @@ def attachment_of(body):
     try:
         found = Attachment.read(stream)
     except Exception as error:  # as in `parsed`
-        raise Misfit("a damaged attachment") from error
+        raise DamagedLength("a damaged attachment") from error
     if stream.count != len(body):
-        raise Misfit("a damaged attachment")
+        raise DamagedLength("a damaged attachment")
     (checksum,) = struct.unpack_from("<I", body, len(body) - 4)
     if checksum and zlib.crc32(body[:-4]) != checksum:
         raise Damaged(f"a damaged attachment, {found.name}")

@@ -33,7 +33,7 @@ from .mcap_records import (
     LARGEST_RATIO,
     RECORD,
     Damaged,
-    Misfit,
+    DamagedLength,
     attachment_of,
     beginning,
     check_claim,
@@ -207,7 +207,7 @@ class Walk:
                 self.problem(str(error))
                 if opcode == Opcode.DATA_END:
                     return
-                if isinstance(error, Misfit):  # the next record need not begin at its end
+                if isinstance(error, DamagedLength):  # the next record need not begin at its end
                     found = search.next_chunk(max(good_end, search.done, at + 1))
                     if found is None:
                         return
@@ -225,7 +225,7 @@ class Walk:
         if opcode not in KINDS:
             return
         if length > LARGEST and opcode != Opcode.CHUNK:
-            raise Misfit(f"a record of {length} bytes; the limit is {LARGEST}")
+            raise DamagedLength(f"a record of {length} bytes; the limit is {LARGEST}")
         self._file.seek(start)
         if opcode == Opcode.CHUNK:
             yield from self._chunk(start, length)
@@ -255,7 +255,7 @@ class Walk:
         body = self._file.read(min(length, _CHUNK_HEAD))
         head = chunk_head(body)
         if head.data_start + head.length != length:
-            raise Misfit("a damaged chunk")
+            raise DamagedLength("a damaged chunk")
         check_claim(head)
         self._budget -= head.size
         if self._budget < 0:

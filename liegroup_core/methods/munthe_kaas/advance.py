@@ -133,7 +133,7 @@ def advance(model, work, scheme, h, steps, pose_in, twist_in, external_in):
 
 @stepper
 def advance_controlled(model, work, scheme, h, steps, pose_in, twist_in, external_in, control):
-    """As `advance`, each step in substeps that meet the tolerances of a Control.
+    """As `advance`, each step in substeps that meet the tolerances of a SubstepControl.
 
     After EVENT, pose, twist and work.angle are those of the last valid substep.
     """

@@ -8,7 +8,7 @@ import numpy as np
 from liegroup_core.compiling import Struct, shaped
 
 
-class Control(Struct):
+class SubstepControl(Struct):
     """Numbers of the error control and of the integration ahead; each field is a view (1,) of `numbers`."""
 
     numbers: np.ndarray  # all of them, in the order of the fields
@@ -60,10 +60,10 @@ class Control(Struct):
         return self.numbers[NAMES.index(first) : NAMES.index(last) + 1]
 
 
-NAMES = [field.name for field in dataclasses.fields(Control)][1:]
+NAMES = [field.name for field in dataclasses.fields(SubstepControl)][1:]
 
 
 def make_control(numbers=None):
-    """Control with these numbers, or zeros."""
+    """SubstepControl with these numbers, or zeros."""
     numbers = np.zeros(len(NAMES)) if numbers is None else numbers
-    return Control(numbers, *(numbers[k : k + 1] for k in range(len(NAMES))))
+    return SubstepControl(numbers, *(numbers[k : k + 1] for k in range(len(NAMES))))

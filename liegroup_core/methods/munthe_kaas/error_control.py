@@ -97,7 +97,7 @@ def judge(model, work, scheme, size, status, twist, control):
     """Accept or reject a substep of the given size, and set the size of the next one.
 
     status  : of the substep; a substep that failed is rejected
-    control : Control
+    control : SubstepControl
     returns (status, accepted): status is not OK if no smaller substep is allowed
     """
     error, growth = math.inf, 0.0
