@@ -236,18 +236,18 @@ class Engine:
     @property
     def base_ns(self):
         """Time in ns at which the integration is within a step; None: at the end of one."""
-        return self._grid.mark(self._base) if self._base.offset else None
+        return self._grid.mark(self.base) if self.base.offset else None
 
     def begin_at(self, time_ns):
         """Move a state that was set to a time in ns."""
-        self._base = self.now = self._grid.marked(time_ns)
+        self.base = self.now = self._grid.marked(time_ns)
 
     def _start_at(self, pose, twist, instant, angles):
         """Start again from a valid state at an Instant; the engine takes over its arrays."""
         self._work.angle[:] = angles
         self._work.report[LARGEST_TURN] = 0.0
         self._pose, self._twist = pose, twist
-        self._base = self.now = instant
+        self.base = self.now = instant
         self._here = None
         self.inputs.clear()
         self._integrator.restart()
@@ -257,7 +257,7 @@ class Engine:
 
         instant : of this engine, for the other one's base; None: at the same time
         """
-        same = self._grid.like(other._grid, other._base) if instant is None else instant
+        same = self._grid.like(other._grid, other.base) if instant is None else instant
         self._start_at(other._pose.copy(), other._twist.copy(), same, other._work.angle)
         self._modes = other._modes
         self.inputs.commands = other.inputs.commands
@@ -302,17 +302,17 @@ class Engine:
     @property
     def steps(self) -> int:
         """Number of whole steps since the start or the last reset."""
-        return self._base.step
+        return self.base.step
 
     @steps.setter
     def steps(self, steps):
-        self._base = self.now = self._grid.boundary(steps)
+        self.base = self.now = self._grid.boundary(steps)
         self._here = None
 
     @property
     def _offsets(self):
         """Where the base and `now` are within their step: numerators and denominators."""
-        return (*Fraction(self._base.offset).as_integer_ratio(), *Fraction(self.now.offset).as_integer_ratio())
+        return (*Fraction(self.base.offset).as_integer_ratio(), *Fraction(self.now.offset).as_integer_ratio())
 
     @_offsets.setter
     def _offsets(self, offsets):
@@ -440,7 +440,7 @@ class Engine:
         """As `advance_to`, of an Instant; enough : as in `advance`."""
         if self._halted:
             self._go_on()
-        if instant == self._base:
+        if instant == self.base:
             self.inputs.update(instant)
         self._go(instant, enough)
 
@@ -459,10 +459,10 @@ class Engine:
     def _go(self, until, enough=None):
         """Advance to an Instant: in whole steps and, between changes of the inputs within them, in parts of steps."""
         self._warnings.begin()
-        while self._base < until:
+        while self.base < until:
             stop, steps, changed = self._next_stop(until)
             if stop is None:
-                self._stand(self._base, until)
+                self._stand(self.base, until)
                 break
             began = time.perf_counter() if steps == self._block else 0.0
             done, status = self._take(stop, steps)
@@ -471,7 +471,7 @@ class Engine:
                 self._stand(base, base)
             if status == OK:
                 self.inputs.apply(stop, changed)
-                if self._base >= until:
+                if self.base >= until:
                     break
             if self._halted:
                 return
@@ -479,21 +479,21 @@ class Engine:
             self._warnings.give(self)
             if began:
                 self._block = _next_block(done, time.perf_counter() - began)
-            if enough is not None and not self._base.offset and enough():
+            if enough is not None and not self.base.offset and enough():
                 break
         self._warnings.give(self)
 
     def _stand(self, base, now):
         """Move the base and the present time."""
-        if (base, now) != (self._base, self.now):
-            self._base, self.now, self._here = base, now, None
+        if (base, now) != (self.base, self.now):
+            self.base, self.now, self._here = base, now, None
 
     def _next_stop(self, until):
         """(Instant up to which the inputs that act now stay as they are, whole steps to it, their changes there).
 
         (None, 0, ()) : `until` is before the next one. 0 steps : a part of a step
         """
-        base, grid, schedule = self._base, self._grid, self.inputs.schedule
+        base, grid, schedule = self.base, self._grid, self.inputs.schedule
         change, inside = self._timetable.next_change(base.step), self._timetable.inside(base.step)
         if schedule:
             self.inputs.update(base)
@@ -513,10 +513,10 @@ class Engine:
     def _take(self, stop, steps):
         """Integrate to the next stop, in whole steps, 0: in a part of one; returns (done, 1: the part, status)."""
         if steps:
-            return self._integrate(self._base, self.step, steps, stop)
+            return self._integrate(self.base, self.step, steps, stop)
         good = self._pose.copy(), self._twist.copy(), self._work.angle.copy()
         parts = self.events.parts
-        _, status = self._integrate(self._base, self._grid.between(self._base, stop) / parts, parts, stop)
+        _, status = self._integrate(self.base, self._grid.between(self.base, stop) / parts, parts, stop)
         if status != OK:
             self._pose[:], self._twist[:], self._work.angle[:] = good
             self._integrator.restart()
@@ -527,7 +527,7 @@ class Engine:
 
         Raises SimulationError if the state cannot be computed.
         """
-        if self.now == self._base:
+        if self.now == self.base:
             return self._pose, self._twist, self._work.angle, None
         if self._here is None:
             self._here = self._interpolated() or self._stepped()
@@ -537,7 +537,7 @@ class Engine:
         """`here` from the integration that runs ahead, up to the present time; None: not from it, as near an event."""
         if not self.runs_ahead:
             return None
-        base, now, integrator, external = self._base, self.now, self._integrator, self.inputs.external
+        base, now, integrator, external = self.base, self.now, self._integrator, self.inputs.external
         pose, twist, angles = self._pose.copy(), self._twist.copy(), self._work.angle.copy()
         h, modes = self._grid.between(base, now), [array.copy() for array in self._modes]
         self._prepare(base, h, now)
@@ -558,9 +558,9 @@ class Engine:
     def _stepped(self):
         """`here` by a step of this size from the base, which is not taken."""
         with self._aside(Engine.MOTION):
-            parts = self.events.parts if self._base.offset else 1
-            h = self._grid.between(self._base, self.now) / parts
-            self._checked(self._integrate(self._base, h, parts, self.now)[1])
+            parts = self.events.parts if self.base.offset else 1
+            h = self._grid.between(self.base, self.now) / parts
+            self._checked(self._integrate(self.base, h, parts, self.now)[1])
             modes = None if self._switching is None else self._modes_now()
             return self._pose.copy(), self._twist.copy(), self._work.angle.copy(), modes
 
@@ -575,12 +575,12 @@ class Engine:
         try:
             yield
         finally:
+            if spent is not None:
+                self._integrator.spent = spent
             set_kept(self, before)
             self._here = here
             inputs.give_back(held)
             inputs.log = log
-            if spent is not None:
-                self._integrator.spent = spent
             if events is not None:
                 switching.take_log(events)
 
@@ -706,8 +706,8 @@ class Engine:
 
     def _modes_now(self):
         """(k, 5) modes of the joints with stops or friction, see Sample.switching."""
-        self.set_inputs_from(self._base)
-        return self._switching.modes(self._base.time, (self._pose, self._twist, self.inputs.external))
+        self.set_inputs_from(self.base)
+        return self._switching.modes(self.base.time, (self._pose, self._twist, self.inputs.external))
 
     def reaction_array(self, out: Floats | None = None) -> Floats:
         """Reactions of all joints of the state that `sample` gives, bit-identical to those of the Sample.
@@ -719,7 +719,7 @@ class Engine:
         reactions = self.layout.reactions
         if not reactions.names:
             return self._given(np.empty((0, 6)), out)
-        if self.now != self._base:
+        if self.now != self.base:
             return self._given(self.sample().reaction_array, out)
         found = reactions.empty()
         if reactions.has_inputs:
@@ -744,7 +744,7 @@ class Engine:
                 modes = self._modes_now()
         acting = work.acting
         if len(acting):
-            acting = self._timetable.acting(self._base)
+            acting = self._timetable.acting(self.base)
         motions = self.layout.motions_at(self.time, self.inputs.commanded)
         return work.angle, acting, work.targets, motions, modes, self.time
 

@@ -40,7 +40,6 @@ Coverage, that is estimate against true error: benchmarks/estimate_coverage.py,
 test/verification/test_running_error.py.
 """
 
-import contextlib
 import math
 from fractions import Fraction
 
@@ -260,9 +259,11 @@ class RunningError:
         if self._by_work and not self.begun:
             self.update()
         if self._alive and self.begun and not self._failed:
-            with contextlib.suppress(SimulationError):
+            try:
                 self._follow()
                 self._companion.settle()
+            except SimulationError:
+                self._companion.now = self._companion.base  # wherever it stood before
 
     def _follow(self):
         """Advance the companion to the present time. Raises SimulationError."""

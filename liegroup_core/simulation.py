@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from fractions import Fraction
 from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from liegroup_core.accuracy import DEFAULT, LONGEST, METHOD, MINUTE, SMALLEST, AccuracyControl
@@ -268,13 +269,16 @@ class Simulation(Engine):
             raise
 
     def _with_offsets(self, data):
-        """Parts of a State as JSON types; from earlier versions they have the time in ns, after whole steps."""
+        """Parts of a State as JSON types; from earlier versions they have the time in ns, and no Jacobians."""
 
         def complete(parts, now_ns):
             if not isinstance(parts, dict) or "offsets" in parts:
                 return parts
             now = 0 if now_ns is None else self._grid.marked(now_ns).offset
-            return parts | {"offsets": [0, 1, *Fraction(now).as_integer_ratio()]}
+            parts, memory = parts | {"offsets": [0, 1, *Fraction(now).as_integer_ratio()]}, self._integrator.memory
+            if isinstance(given := parts.get("memory"), list):
+                parts["memory"] = given + encoded([np.zeros_like(array) for array in memory[len(given) :]])
+            return parts
 
         if isinstance(data.get("running"), dict) and "companion" in data["running"]:
             data = data | {"running": data["running"] | {"companion": complete(data["running"]["companion"], None)}}

@@ -199,7 +199,7 @@ class SceneRun:
         """Close the simulation, the recording and the topics; returns whether the recording is complete."""
         self.server.stop()
         if self.recorder is not None:
-            self.outputs.complete(self.server.step_stamp_ns, self.simulation.sample())
+            self.outputs.complete(self.server.last_stamp_ns, self.simulation.sample())
             self._attach_pacing()
             self.recorder.close()
             if self.recorder.failure is None:

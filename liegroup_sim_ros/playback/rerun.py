@@ -120,7 +120,7 @@ class Rerun:
         except (ValueError, KeyError, TypeError, OverflowError) as error:
             raise ReplayError(f"invalid initial state in the recording: {error}") from None
         # What was commanded up to a checkpoint is in its state, if that has commands.
-        since = start * simulation.step if checkpoint and "state" in checkpoint else -np.inf
+        since = simulation.time if checkpoint and "state" in checkpoint else -np.inf
         self._stretch = stretch
         self._next = stretch.inherited + self._number(self._given, since)
         self._next_of = {kind: self._number(times, since) for kind, (_, times, _) in stretch.changes.items()}

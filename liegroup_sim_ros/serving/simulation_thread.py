@@ -147,9 +147,9 @@ class SimulationServer(SimulationCommands, threading.Thread):
         self.call("clear", prefix)
 
     @property
-    def step_stamp_ns(self):
-        """Stamp of the last step, after the end of the thread."""
-        return self._stamp(self._simulation.steps)
+    def last_stamp_ns(self):
+        """Stamp of the state, after the end of the thread."""
+        return self._base_ns + self._simulation.time_ns
 
     @property
     def inputs_held(self):
@@ -275,10 +275,16 @@ class SimulationServer(SimulationCommands, threading.Thread):
         """Advance to a stamp and send its outputs, unless `enough()` before; returns False after a fault."""
         simulation = self._simulation
         instant = simulation.instant_of(tick - self._base_ns)
+        began, before = time.thread_time(), self.stamp_ns
+        if instant.offset and simulation.steps < instant.step:
+            # Recordings are divided, and their checkpoints are, at the end of a step.
+            if not self._advance_to(self._stamp(instant.step), enough):
+                return False
+            if simulation.steps < instant.step:
+                return not self._stopping
         self._inbox.deliver(self._base_ns, instant.time)
         if changes := self._send_commands():
             self._send_changes(self.stamp_ns, changes)
-        began, before = time.thread_time(), self.stamp_ns
         sample = None
         try:
             simulation.reach(instant, lambda: self._stopping or enough())
@@ -420,9 +426,8 @@ class SimulationServer(SimulationCommands, threading.Thread):
         return self._simulation.sample()
 
     def _fault(self, text):
-        stamp_ns = self._stamp(self._simulation.steps)
-        if stamp_ns >= self.stamp_ns:
-            self._send_outputs(stamp_ns, everything=True)
+        if self.last_stamp_ns >= self.stamp_ns:
+            self._send_outputs(self.last_stamp_ns, everything=True)
         self._state_before_fault = self.state
         self.state = "faulted"
         self.pacer.stop()

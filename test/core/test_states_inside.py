@@ -302,60 +302,6 @@ def test_the_collocation_polynomial_passes_through_the_stages():
     assert weights == pytest.approx(np.eye(3), abs=1e-13)
 
 
-def random_program(rng, seconds):
-    """[(time, what)] in s: pushes that start and end at steps or within them, their end, other accuracies, checks."""
-    found = []
-    for _ in range(12):
-        time = round(rng.uniform(0.0, seconds), rng.choice([2, 9]))
-        kind = rng.choice(["push", "push", "push", "clear", "accuracy", "check"])
-        start = rng.choice([None, round(time + rng.uniform(0.0, 0.05), 9)])
-        found.append((time, kind, start, rng.choice([1e-9, 1e-3, 0.01, 0.05]), rng.normal(size=6).tolist()))
-    return [*sorted(found, key=lambda each: each[0]), (seconds, "check", None, 0.0, None)]
-
-
-def played(name, program, rng=None):
-    """Checks, commands and events of a program; rng: states are read in between, and snapshots restored anew."""
-    simulation = fresh = Simulation(load_scene(name), quiet=True, accuracy=1e-5)
-    body, found, applied, events = simulation.layout.body_names[-1], [], [], []
-    for time, kind, start, duration, wrench in program:
-        for now in [] if rng is None else np.sort(rng.uniform(simulation.time, time, rng.integers(4))):
-            simulation.advance_to(now)
-            what = rng.integers(3)
-            if what == 0:
-                simulation.sample(now + 0.02 * rng.random())
-            elif what == 1:
-                applied += simulation.drain_applied()
-                events += simulation.drain_events()
-                state, simulation = simulation.snapshot(), Simulation(fresh.scene, quiet=True, accuracy=1e-5)
-                simulation.restore(state)
-            simulation.sample()
-        simulation.advance_to(time)
-        if kind == "push":
-            simulation.apply_wrench(body, wrench, start, duration, "hand")
-        elif kind == "clear":
-            simulation.clear_wrenches("hand")
-        elif kind == "accuracy":
-            simulation.set_accuracy(1e-5 * 10.0 ** wrench[0])
-        else:
-            sample = simulation.sample()
-            arrays = sample.pose, sample.twist, sample.errors, simulation.reaction_array()
-            found.append((time, *(array.tobytes() for array in arrays)))
-    return found, applied + simulation.drain_applied(), list(map(str, events + simulation.drain_events()))
-
-
-@pytest.mark.parametrize(
-    "name", ["lagrangian_top", "four_bar", "driven_arm", "flyball_governor", "stick_slip", "cable"]
-)
-@pytest.mark.volume(2)
-def test_random_commands_have_one_effect_however_often_states_are_read(name):
-    """Bit-identical: pushes within steps, clears, and a companion that is behind are not seen too early or too late."""
-    for seed in range(6):
-        program = random_program(np.random.default_rng(seed), 0.25)
-        expected = played(name, program)
-        for reader in range(2):
-            assert played(name, program, np.random.default_rng([seed, reader])) == expected, (seed, reader)
-
-
 @pytest.mark.parametrize("name", ["four_bar", "gripper", "heavy_top"])
 def test_commands_between_states_begin_where_the_caller_is(name):
     """At 900 Hz from the start on: a state, then a wrench without a start; and the same with starts, most unread."""

@@ -26,7 +26,6 @@ from liegroup_core.status import EVENT, OK, TOO_MANY_SUBSTEPS
 from . import explicit, implicit
 from .ahead import (
     divides,
-    ends_step,
     fraction,
     go_on,
     keep,
@@ -35,6 +34,7 @@ from .ahead import (
     keep_turns,
     meet_inputs,
     meet_limit,
+    passes,
     recall,
     recall_lead,
     set_turns,
@@ -285,7 +285,7 @@ def _go_ahead(model, work, scheme, steps, pose, twist, external, control):
             status = close(model, work, True)
         if status != OK:
             continue
-        if size >= remaining or ends_step(work, control, size, at_limit):
+        if passes(work, control, size, at_limit):
             keep(work, pose, twist, size, control)
             if len(scheme.newton.z) > 0:
                 implicit.keep_stages(scheme, work)

@@ -187,11 +187,15 @@ def time_of(base, since, step):
 
 
 @kernel
-def ends_step(work, control, size, at_limit):
-    """Whether a substep from the lead on passes the end of a step."""
+def passes(work, control, size, at_limit):
+    """Whether a substep from the lead on ends the call, or passes the end of a step."""
+    base, clock, step = control.base[0], work.clock, work.clock[STEP_SIZE]
+    after, lead = base, control.lead[0] + size
     if at_limit:
-        return control.limit_base[0] > control.base[0]
-    return control.lead[0] + size >= work.clock[STEP_SIZE] * (1.0 - SAME_TIME)
+        after, lead = control.limit_base[0], control.limit[0]
+    elif lead >= step * (1.0 - SAME_TIME):
+        return True
+    return after > base or between(after, lead, clock[TO], clock[UNTIL], step) <= 0.0
 
 
 @kernel

@@ -35,6 +35,11 @@ class Collocation(Struct):
     residual: np.ndarray  # (3, f, 2)
     next: np.ndarray  # (f, 2) solution
 
+    @property
+    def jacobian(self):
+        """Arrays of the Jacobian and whether it is known; none of an explicit method."""
+        return (self.known, self.stiffness, self.damping) if len(self.z) else ()
+
 
 def no_collocation():
     """Collocation of an explicit method."""

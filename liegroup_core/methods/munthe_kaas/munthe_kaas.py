@@ -234,7 +234,8 @@ class MuntheKaas:
         lead = (
             (work.pose, work.twist, work.lead_angle, work.kept_pose, work.kept_twist, known)
             + (work.kept_angle, work.lead_external, work.lead_targets, work.lead_acting, work.lead_motions)
-            + (work.lead_coordinates, work.kept_coordinates, work.watch[SPAN:], work.crossed)
+            + (work.lead_coordinates, work.kept_coordinates, work.watch[SPAN:], work.crossed, self._control.begins)
+            + tuple(array for scheme, *_ in self._methods for array in scheme.newton.jacobian)
             if self._may_run_ahead
             else ()
         )
