@@ -19,7 +19,18 @@ from liegroup_core.forces.timetable import Timetable, just_after
 from liegroup_core.inputs import Inputs
 from liegroup_core.joint_events import JointEvents
 from liegroup_core.layout import Layout, make_layout
-from liegroup_core.mechanism.bodies import COUNT, LARGEST_TURN, NOW, OFFSET, SINGULAR_SOLVES, STEP_SIZE
+from liegroup_core.mechanism.bodies import (
+    COUNT,
+    FROM,
+    LARGEST_TURN,
+    NOW,
+    OFFSET,
+    SINCE,
+    SINGULAR_SOLVES,
+    STEP_SIZE,
+    TO,
+    UNTIL,
+)
 from liegroup_core.mechanism.body_model import initial_state
 from liegroup_core.methods.families import check_group, check_options, choose_group, make_integrator
 from liegroup_core.methods.table import METHODS, is_positive
@@ -499,7 +510,7 @@ class Engine:
             self.inputs.update(base)
             change = min(change, schedule.next_change(base.step))
             inside = {*inside, *schedule.inside(base.step)}
-        for instant in sorted(each for each in inside if base < each < until):
+        for instant in sorted(each for each in inside if base < each < until) if inside else ():
             changed = schedule.update(instant)
             # A part ends only where a total changes.
             if changed or instant in self._timetable.inside(base.step):
@@ -542,7 +553,8 @@ class Engine:
         h, modes = self._grid.between(base, now), [array.copy() for array in self._modes]
         self._prepare(base, h, now)
         memory = None
-        if integrator.lead < self._grid.parts(now) or integrator.has_others(external):
+        changes = self._timetable or self.inputs.schedule
+        if integrator.lead < self._grid.parts(now) or (changes and integrator.has_others(external)):
             memory, spent = [array.copy() for array in integrator.memory], integrator.spent
         _, status = integrator.look_ahead(h, pose, twist, external)
         found = pose, twist, self._work.angle.copy(), self._switching and self._switching.present_modes()
@@ -622,10 +634,9 @@ class Engine:
     def _prepare(self, start, h, end):
         """Set the inputs and times of steps of size h from an Instant to another."""
         self._set_inputs(start, h)
-        if start.offset or end.offset:
-            self._work.clock[NOW + 1 : STEP_SIZE] = *self._grid.parts(start), *self._grid.parts(end)
-        else:
-            self._work.clock[NOW + 1 : STEP_SIZE] = start.step, 0.0, end.step, 0.0
+        clock = self._work.clock
+        clock[FROM], clock[SINCE] = self._grid.parts(start)
+        clock[TO], clock[UNTIL] = self._grid.parts(end)
         if self._stop_at is not None and (self._limited or self._timetable or self.inputs.known_end is not AFTER):
             known = min(self._timetable.next_after(start), self.inputs.known_end)
             if known is not AFTER or self._limited:

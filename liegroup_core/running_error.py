@@ -211,6 +211,7 @@ class RunningError:
                 self._companion.advance_to_step(meeting)
             except SimulationError as error:
                 self._failed, self.lost = True, f"{LOST}: {error}"
+                self._companion.now = self._companion.base  # wherever it stood before
         if not self._failed and self._companion.steps < meeting:
             return  # it was halted, too
         if between:

@@ -256,13 +256,13 @@ class MuntheKaas:
         return advance(h, steps, pose, twist, external)
 
     def look_ahead(self, h, pose, twist, external):
-        """As `advance` of one step, for reading; status EVENT, and nothing done, if an event may come before."""
+        """As `advance` of one step, for reading; not OK, and nothing done, if an event or a tolerance is in the way."""
         if self.switching is None:
-            return self._pass(h, 1, pose, twist, external)
+            return self._take(h, 1, pose, twist, external)
         if not self.switching.is_settled(external):
             return 0, EVENT
         end = self._work.clock[TO : UNTIL + 1].copy()
-        done, status = self._pass(h, 1, pose, twist, external)
+        done, status = self._take(h, 1, pose, twist, external)
         is_before = (self._work.clock[TO : UNTIL + 1] != end).any()
         return done, EVENT if status == OK and is_before else status
 
