@@ -23,6 +23,16 @@ COMMANDS = [
 SLOWER = ("-p", "real_time_factor:=0.5")  # a busy machine delays the controller by half as much of its time
 
 
+def delay_of(inputs, times, efforts):
+    """Mean s from the states at times (m,) to the commands whose efforts (m,) follow from them."""
+    found = []
+    for command in (each for each in inputs if each.kind == "effort"):
+        (same,) = np.nonzero(np.abs(efforts - command.values[0]) < 1e-9)
+        found += [1e-9 * command.start_ns - times[same[0]]] if len(same) else []
+    assert len(found) > 100
+    return float(np.mean(found))
+
+
 @pytest.mark.turn(3)
 def test_the_page_designs_a_controller_and_the_recording_agrees(tmp_path, monkeypatch, capsys, client):
     pytest.importorskip("control")
@@ -75,12 +85,14 @@ def test_the_page_designs_a_controller_and_the_recording_agrees(tmp_path, monkey
     exec(compile(FILES["check.py"], "check.py", "exec"), names := {})
     said = capsys.readouterr().out
     assert re.search(r"deviation .* at the end: .*\nslowest poles: .* designed: .*\n", said), said
-    # A delay of 10 ms, which a busy machine may have, changes the slowest poles by 2 %.
-    np.testing.assert_allclose(
-        *(np.sort_complex(each)[-2:] for each in (names["measured"], design["poles"])), rtol=0.05
-    )
-    states = read_recording("run.mcap").joint_states
+    recording = read_recording("run.mcap")
+    states = recording.joint_states
     x = np.hstack([states.position, states.velocity]) - design["x"]
+    # A delay of 10 ms, as a busy machine has, changes the slowest poles by 2 %: twice that. Efforts are held for 2 ms: 1 %.
+    allowed = 0.02 + 4.0 * delay_of(recording.inputs, states.time, design["u"] - x @ design["K"][0])
+    np.testing.assert_allclose(
+        *(np.sort_complex(each)[-2:] for each in (names["measured"], design["poles"])), rtol=allowed
+    )
     assert states.names == ("rail", "pivot") and np.abs(x[0]).max() == pytest.approx(0.0997, abs=1e-4)
     after = states.time > names["end"]
     assert np.abs(x[after]).max() > 0.2 and np.abs(x[-1]).max() < 0.01
