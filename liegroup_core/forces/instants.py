@@ -22,6 +22,7 @@ NEVER = 1 << 62  # a step that is never reached
 # Decimal times and n * step are each rounded, by about half a unit in the last place.
 ROUNDING = 4.0 * np.finfo(float).eps
 LATEST = 9.2e9  # s; later stamps do not fit into 64 bits
+EARLY = 1e5  # s; up to here a time in ns, as a float, has an error below 0.02 ns
 
 
 class Instant(NamedTuple):
@@ -129,6 +130,10 @@ class StepGrid:
 
     def instant(self, time):
         """Instant of a time in s (float or exact Fraction): a step boundary within half a ns, else a whole ns."""
+        if type(time) is float and 0.0 <= time < EARLY:
+            near = round(time * NS)
+            if abs(time * NS - near) < 0.48:
+                return self.marked(near)
         if float(time) > LATEST:
             return AFTER
         numerator, denominator = time.as_integer_ratio()

@@ -60,7 +60,8 @@ class Lead:
 
     def go_back(self):
         """Continue from the caller's state."""
-        self._work.known[0] = self._control.leads[0] = 0.0
+        self._work.known[0] = 0.0
+        self._end()
 
     @contextlib.contextmanager
     def left(self):
@@ -69,7 +70,15 @@ class Lead:
         try:
             yield
         finally:
-            self._control.ahead[0], self._control.leads[0] = 1.0, 0.0
+            self._control.ahead[0] = 1.0
+            self._end()
+
+    def _end(self):
+        """There is no lead, and nothing is kept: equal states have equal snapshots."""
+        work = self._work
+        for array in (work.kept_pose, work.kept_twist, work.kept_slopes, work.kept_angle, work.kept_coordinates):
+            array[:] = 0.0
+        self._control.part_of("base", "due")[:] = 0.0
 
     def call(self, begin, end):
         """Set the whole steps at which a call begins and ends."""

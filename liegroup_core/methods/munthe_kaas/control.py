@@ -57,10 +57,11 @@ class SubstepControl(Struct):
 
     def part_of(self, first, last):
         """View of the numbers from one field to another."""
-        return self.numbers[NAMES.index(first) : NAMES.index(last) + 1]
+        return self.numbers[PLACES[first] : PLACES[last] + 1]
 
 
 NAMES = [field.name for field in dataclasses.fields(SubstepControl)][1:]
+PLACES = {name: k for k, name in enumerate(NAMES)}
 
 
 def make_control(numbers=None):

@@ -185,7 +185,6 @@ class MuntheKaas:
         if number != self.chosen:
             self._control.size[0] = self._longest
             self._lead.go_back()  # the state ahead is that of the other method
-            self._work.kept_slopes[:] = 0.0  # equal states have equal snapshots
         self._chosen[0] = number
         self._set_ahead()
         self.tighten(self._part)
