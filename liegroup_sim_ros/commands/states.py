@@ -90,6 +90,5 @@ def states(args, running=False):
 def _of_recording(args):
     branches = Branches(read_recording(args.scene))
     for time in args.at or [branches.first_ns * 1e-9]:
-        simulation, stamp_ns = branches.at(time, inputs=True)
-        inside = round(time * 1e9) - stamp_ns + simulation.time_ns
-        yield time, simulation, max(simulation.time, inside * 1e-9)
+        simulation, _ = branches.at(time, inputs=True)
+        yield time, simulation, simulation.time

@@ -46,7 +46,7 @@ class Branches:
     def at(self, time, inputs=False):
         """Simulation at an instant of the recording, and the stamp of its state in ns.
 
-        time   : s, as the time stamps of the recording; rounded down to a step
+        time   : s, as the time stamps of the recording, rounded to whole ns
         inputs : True: inputs recorded later act, too. False: all wrenches end here, and driven
                  joints that were commanded come to rest within REST
         Raises ReplayError for a time outside the recording or a run that cannot be repeated.
@@ -67,6 +67,8 @@ class Branches:
         try:
             self._rerun.begin(stretch, checkpoint)
             self._rerun.advance_to(steps, True)
+            self._rerun.apply_changes((stamp - stretch.base_ns) * 1e-9)
+            self.simulation.reach(self.simulation.instant_of(stamp - stretch.base_ns))
         except SimulationError as error:
             raise ReplayError(f"{self._recording.path}: cannot be repeated: {error}") from None
         if inputs:
