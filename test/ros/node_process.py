@@ -66,10 +66,15 @@ def _free_domain():
 
 
 DOMAIN, _LOCK = _free_domain()
-ENVIRONMENT = {
-    **os.environ,
+# No shared memory: a process that is killed leaves it locked, and others wait for it without end.
+DDS = {
     "ROS_DOMAIN_ID": str(DOMAIN),
     "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+    "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
+}
+ENVIRONMENT = {
+    **os.environ,
+    **DDS,
     "PYTHONUNBUFFERED": "1",
     # rclpy's warning of an answer that nobody receives: its client is not discovered yet, see `call`.
     "PYTHONWARNINGS": "ignore:failed to send response:RuntimeWarning",
@@ -100,7 +105,7 @@ def path_with(folder):
 
 def own_context():
     """rclpy Context of this process in the domain of the tests."""
-    os.environ.update({key: ENVIRONMENT[key] for key in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE")})
+    os.environ.update(DDS)
     context = rclpy.Context()
     context.init()
     return context

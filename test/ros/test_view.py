@@ -362,15 +362,15 @@ def test_curves_compute_no_value_twice():
 
 @pytest.mark.turn(3)
 def test_a_node_is_shown_pulled_and_paused(opened, client, tmp_path):
-    from node_process import ENVIRONMENT, NodeProcess
+    from node_process import DDS, NodeProcess
 
     from liegroup_sim_ros.view.remote import Remote
 
     scene, path = tmp_path / "block.yaml", tmp_path / "node.mcap"
     scene.write_text(BLOCK)
     with NodeProcess({"scene": scene, "record": path}), pytest.MonkeyPatch.context() as patch:
-        for name in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE"):
-            patch.setenv(name, ENVIRONMENT[name])
+        for name, value in DDS.items():
+            patch.setenv(name, value)
         client.until(path.exists, "recording")
         source = Remote("/sim_node")
         page, shown = opened(source)
