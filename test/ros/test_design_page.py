@@ -88,8 +88,8 @@ def test_the_page_designs_a_controller_and_the_recording_agrees(tmp_path, monkey
     recording = read_recording("run.mcap")
     states = recording.joint_states
     x = np.hstack([states.position, states.velocity]) - design["x"]
-    # A delay of 10 ms, as a busy machine has, changes the slowest poles by 2 %: twice that, and 2 % for efforts that are
-    # held for 2 ms and for the fit.
+    # A delay of 10 ms, as a busy machine has, changes the slowest poles by 2 %: twice that, and 2 % for the fit and for
+    # efforts that are held for 2 ms.
     allowed = 0.02 + 4.0 * delay_of(recording.inputs, states.time, design["u"] - x @ design["K"][0])
     np.testing.assert_allclose(
         *(np.sort_complex(each)[-2:] for each in (names["measured"], design["poles"])), rtol=allowed
