@@ -23,7 +23,7 @@ from liegroup_sim_ros.node.parameters import TABLE
 PACKAGE = "liegroup_sim_ros"
 
 ARGUMENTS = {
-    **{entry.name: ("", f"{entry.text}; empty: as in the preset") for entry in TABLE},
+    **{entry.name: ("", f"{entry.meaning}; empty: as in the preset") for entry in TABLE},
     "preset": ("default", "name of the file in config/ with the other parameters, such as show"),
     "namespace": ("", "namespace of the node"),
     "clock_topic": ("/clock", "topic of the clock; a second simulation needs another name"),

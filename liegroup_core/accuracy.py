@@ -22,11 +22,9 @@ run is bit-identical.
 
 import math
 
+from liegroup_core.settings import SETTINGS
+
 METHOD = "rkmk853"
-DEFAULT = 1e-4
-MINUTE = 60.0  # s, default of the horizon
-LONGEST = 1e6  # s, of a horizon
-SMALLEST = 1e-13  # accuracy; the round-off of a single step is not far below
 AIM, NEW = 0.1, 0.03
 KEPT = 0.85  # fraction of the gain kept from one checkpoint to the next, because it oscillates with the motion
 # Conservative motions have a gain of 5 to 10, once it can be measured. So at least this gain is assumed up to the
@@ -176,7 +174,7 @@ class AccuracyControl:
         if not tenfold:
             return ""
         grow = f"errors grow tenfold in about {tenfold:.2g} s"
-        if not self.found["finer"] or min(room, self.found["wanted"] / SMALLEST) < FINER:
+        if not self.found["finer"] or min(room, self.found["wanted"] / SETTINGS["accuracy"].low) < FINER:
             return grow
         return (
             f"{grow}: with an accuracy {FINER:g} times smaller they would reach this size about "

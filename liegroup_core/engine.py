@@ -32,26 +32,25 @@ from liegroup_core.mechanism.bodies import (
     UNTIL,
 )
 from liegroup_core.mechanism.body_model import initial_state
-from liegroup_core.methods.families import check_group, check_options, choose_group, make_integrator
-from liegroup_core.methods.table import METHODS, is_positive
+from liegroup_core.methods.families import choose_group, make_integrator
+from liegroup_core.methods.table import METHODS
 from liegroup_core.observables.reactions import REGULAR
 from liegroup_core.observables.sample import Sample
 from liegroup_core.parts import method_of, property_of
 from liegroup_core.placing import place
 from liegroup_core.reports import Warnings, explain
 from liegroup_core.scene.description import Scene
+from liegroup_core.settings import SETTINGS, check_group, check_options, checked
 from liegroup_core.state import State, decoded, kept, set_kept
 from liegroup_core.status import OK
 
 Floats = NDArray[np.float64]
 
-
-STABILISATIONS = ("none", "projection", "baumgarte")
 # Default of Baumgarte's time constant, in steps. Explicit methods are stable above half a step.
 BAUMGARTE_STEPS = 10
 # Largest entry of R R^T - 1 that `set_state` accepts.
 NO_ROTATION = 1e-6
-METHOD, STEP = "rkmk4", 1e-3  # defaults; s
+METHOD = "rkmk4"  # default
 # Number of steps per call of a kernel at first, and range of the wall time in s of later calls.
 FIRST_BLOCK, QUICK, SLOW = 16, 0.01, 0.03
 
@@ -65,8 +64,7 @@ def _next_block(steps, seconds):
 
 def _stabilised(model, kind, constant, step):
     """Enable a stabilisation in a model. Raises ValueError for an invalid option."""
-    if kind not in STABILISATIONS:
-        raise ValueError(f"unknown stabilisation {kind!r}; choose one of: {', '.join(STABILISATIONS)}")
+    SETTINGS["stabilisation"].check(kind)
     if constant is None:
         constant = BAUMGARTE_STEPS * step
     elif kind != "baumgarte":
@@ -91,14 +89,7 @@ class Engine:
                     after every step; or "baumgarte", which damps the drift with the time constant
                     baumgarte_time
     baumgarte_time : s, at least the step; default: ten steps
-    options: further options of the method, see its family in `integrators`:
-             dexpinv="exact" or "truncated"  of explicit Munthe-Kaas methods, rkmk...
-             space="auto" or "space"         of the same, radau5, generalized_alpha and
-                                             constrained_rattle; "auto": in relative coordinates
-                                             planar mechanisms move in their plane; "space": in space
-             rtol=1e-6, atol=1e-6            tolerances of methods with error control (rkmk54,
-                                             rkmk853, radau5)
-             rho_inf=0.8                     damping of generalized_alpha
+    options: dexpinv, space, rtol, atol, rho_inf, if the method has them: see settings.SETTINGS
     quiet    : True: log no warnings
     layout   : of the scene, if it was made before
     Raises SceneError for a scene that cannot be simulated, ValueError for an invalid option or a
@@ -149,12 +140,7 @@ class Engine:
         if not isinstance(scene, Scene):
             raise ValueError(f"expected a Scene, got {scene!r}; use load_scene to read one from a file")
         method = METHOD if method is None else method
-        step = STEP if step is None else step
-        if not isinstance(method, str) or method not in METHODS:
-            raise ValueError(f"unknown method {method!r}; choose one of: {', '.join(METHODS)}")
-        if not is_positive(step):
-            raise ValueError(f"the step must be a positive number of seconds, {got(step)}")
-        self.scene, self.method, self.step = scene, method, float(step)
+        self.scene, self.method, self.step = scene, SETTINGS["method"].check(method), checked("step", step)
         check_group(method, group)
         self.options = check_options(method, options)
         self.stabilisation, self.baumgarte_time = stabilisation, baumgarte_time

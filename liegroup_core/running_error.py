@@ -52,6 +52,7 @@ from liegroup_core.errors import SimulationError
 from liegroup_core.methods.added_inertia import AddedInertia
 from liegroup_core.methods.table import METHODS
 from liegroup_core.observables.distances import distances
+from liegroup_core.settings import of_engine
 
 HIGH = 8  # order from which the steps of both are more similar
 FIRST_MEETINGS, MEETINGS = 2, 48  # between two checkpoints, from the second one on
@@ -134,17 +135,8 @@ class RunningError:
         time = engine.baumgarte_time
         if engine.stabilisation == "baumgarte":
             time = max(step, BAUMGARTE_STEPS * engine.step if time is None else time)
-        companion = Engine(
-            engine.scene,
-            engine.method,
-            step,
-            engine.group,
-            engine.stabilisation,
-            time,
-            quiet=True,
-            layout=engine.layout,
-            **options,
-        )
+        options |= of_engine(engine) | {"step": step, "baumgarte_time": time}
+        companion = Engine(engine.scene, engine.method, quiet=True, layout=engine.layout, **options)
         if engine.layout.switches or not METHODS[engine.method].controlled:
             companion.events.divide(PARTS)
         companion.inputs.log = None  # nothing reads it

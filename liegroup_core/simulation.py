@@ -11,16 +11,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from liegroup_core.accuracy import DEFAULT, LONGEST, METHOD, MINUTE, SMALLEST, AccuracyControl
+from liegroup_core.accuracy import METHOD, AccuracyControl
 from liegroup_core.engine import Engine
 from liegroup_core.fields.arguments import got
 from liegroup_core.forces.instants import NEVER
 from liegroup_core.layout import make_layout
-from liegroup_core.methods.families import check_group, choose_group
-from liegroup_core.methods.table import is_positive
+from liegroup_core.methods.families import choose_group
 from liegroup_core.parts import attached
 from liegroup_core.running_error import RunningError
 from liegroup_core.scene.description import Scene
+from liegroup_core.settings import SETTINGS, check_group, checked, of_engine
 from liegroup_core.state import State, decoded, encoded, kept, set_kept
 from liegroup_core.stiffness import MethodChoice
 
@@ -81,10 +81,7 @@ class Simulation(Engine):
             self._running = RunningError(self) if estimate else None
             self._keep()
             return
-        accuracy = DEFAULT if accuracy is None else _checked(accuracy)
-        horizon = MINUTE if horizon is None else horizon
-        if not (is_positive(horizon) and horizon <= LONGEST):
-            raise ValueError(f"the horizon must be a positive number of seconds up to {LONGEST:g}, {got(horizon)}")
+        accuracy, horizon = checked("accuracy", accuracy), checked("horizon", horizon)
         if not estimate:
             raise ValueError("an accuracy requires the error estimate: enable it, or give a method")
         for name in {"rtol", "atol"} & options.keys():
@@ -97,9 +94,9 @@ class Simulation(Engine):
             stabilisation = "projection" if layout.drifts(group) else "none"
         step = default_steps(horizon)[0] if step is None else step
         super().__init__(scene, METHOD, step, group, stabilisation, baumgarte_time, quiet, layout, **tolerances)
-        self._running = RunningError(self, float(horizon))
+        self._running = RunningError(self, horizon)
         self._choice = MethodChoice(self._running)
-        self._control = AccuracyControl(accuracy, float(horizon), self._tighten)
+        self._control = AccuracyControl(accuracy, horizon, self._tighten)
         self._keep()
 
     def _keep(self):
@@ -115,12 +112,7 @@ class Simulation(Engine):
     @property
     def arguments(self) -> dict[str, Any]:
         """Arguments besides the scene that create the same simulation, as JSON types."""
-        common = {
-            "step": self.step,
-            "group": self.group,
-            "stabilisation": self.stabilisation,
-            "baumgarte_time": self.baumgarte_time,
-        }
+        common = of_engine(self)
         if self._control is None:
             without = {} if self._running is not None else {"estimate": False}
             return {"method": self.method, **common, **self.options, **without}
@@ -151,7 +143,7 @@ class Simulation(Engine):
         """
         if self._control is None:
             raise ValueError("`set_accuracy` needs a simulation made with an accuracy; this one has a method")
-        accuracy = _checked(accuracy)
+        accuracy = SETTINGS["accuracy"].check(accuracy)
         self.settle()  # tolerances change at this time, however far the two have come
         self._running.meet()
         self._control.change(accuracy, self.time, self.largest_error)
@@ -376,12 +368,6 @@ class Simulation(Engine):
     def _warn(self, text):
         if not self._quiet:
             log.warning(text)
-
-
-def _checked(accuracy):
-    if not (is_positive(accuracy) and SMALLEST <= accuracy <= 1.0):
-        raise ValueError(f"the accuracy must be a number from {SMALLEST:g} to 1, {got(accuracy)}")
-    return float(accuracy)
 
 
 def default_steps(horizon):

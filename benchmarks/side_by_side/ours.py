@@ -10,10 +10,11 @@ import math
 import numpy as np
 
 from liegroup_core import Scene, Simulation, SimulationError, load_scene
-from liegroup_core.engine import STABILISATIONS, Engine
+from liegroup_core.engine import Engine
 from liegroup_core.lie.groups import SO3
 from liegroup_core.methods.table import CONFIGURATION_GROUPS, METHODS
 from liegroup_core.scene.description import Body, Frame, Joint
+from liegroup_core.settings import SETTINGS
 
 from .measure import Entry, geometric
 from .problems import BALL, CYLINDRICAL, FREE, GROUND, HINGE, SLIDE, UNIVERSAL
@@ -130,7 +131,7 @@ def _levels(problem, method, ratio):
 def entries(problem, ratio, groups=GROUPS[:1]):
     """All methods and groups; for loops also all stabilisations."""
     scene = scene_of(problem)
-    for stabilisation in STABILISATIONS if problem.loops else ("none",):
+    for stabilisation in SETTINGS["stabilisation"].choices if problem.loops else ("none",):
         for group in groups:
             for method in METHODS:
                 # Others conserve momentum over long runs, or are for single bodies or stiff scenes.

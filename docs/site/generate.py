@@ -14,6 +14,7 @@ from mkdocs.structure.files import File
 import liegroup_core
 import liegroup_sim_ros
 from liegroup_core.scene.keys import key_tables
+from liegroup_core.settings import SETTINGS
 from liegroup_sim_ros.commands.main import COMMANDS, make_parser
 from liegroup_sim_ros.node.entry import USAGE
 from liegroup_sim_ros.node.parameter_texts import table_text
@@ -29,6 +30,20 @@ PAGES = ("architecture.md", f"{OUTSIDE}/CONTRIBUTING.md", f"{OUTSIDE}/CHANGELOG.
 def parameters():
     """Page of the parameters of the node."""
     return f"# Parameters of the node\n\n[The node](node.md) explains them.\n\n{table_text()}\n"
+
+
+def settings():
+    """Page of the settings of a run."""
+    lines = [
+        "# Settings of a run",
+        "",
+        "[From Python](python.md) and [commands](commands.md) say how to give them.",
+        "",
+    ]
+    lines += ["| setting | default | allowed | meaning |", "|---|---|---|---|"]
+    for each in SETTINGS.values():
+        lines.append(f"| `{each.name}` | {each.means or each.shown_default} | {each.allowed} | {each.meaning} |")
+    return "\n".join([*lines, ""])
 
 
 def scene_keys():
@@ -64,6 +79,7 @@ def python_api():
 
 WRITTEN = {
     "reference/parameters.md": parameters,
+    "reference/settings.md": settings,
     "reference/scene_keys.md": scene_keys,
     "reference/command_options.md": command_options,
     "reference/api.md": python_api,

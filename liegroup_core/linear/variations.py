@@ -22,6 +22,7 @@ from numpy.polynomial import legendre
 
 from liegroup_core.errors import SimulationError
 from liegroup_core.forces.instants import AFTER
+from liegroup_core.settings import of_engine
 from liegroup_core.simulation import Simulation
 
 from .channels import OutputChannels
@@ -362,8 +363,7 @@ def _settings(simulation):
     """Settings of the same Simulation without an estimate, and with tight tolerances instead of an accuracy."""
     if simulation.promise is None:
         return simulation.arguments | {"estimate": False}
-    common = {name: simulation.arguments[name] for name in ("step", "group", "stabilisation", "baumgarte_time")}
-    return common | {"method": simulation.method, "rtol": TIGHT, "atol": TIGHT, "estimate": False}
+    return of_engine(simulation) | {"method": simulation.method, "rtol": TIGHT, "atol": TIGHT, "estimate": False}
 
 
 class _Polynomial:

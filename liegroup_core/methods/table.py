@@ -29,7 +29,6 @@ from functools import cached_property
 import numpy as np
 import scipy
 
-from liegroup_core.fields.arguments import is_finite
 from liegroup_core.motion_groups.table import FLOATING
 
 # The product of the motion groups of the joints of a tree.
@@ -37,11 +36,6 @@ RELATIVE = "relative"
 CONFIGURATION_GROUPS = (*FLOATING, RELATIVE)
 
 EXACT = -1                  # instead of the last power of ad in dexpinv: closed form
-
-
-def is_positive(value):
-    """True for a finite real number greater than zero."""
-    return is_finite(value) and value > 0.0
 
 
 def refuse_stabilisation(method, model):
@@ -101,6 +95,14 @@ class Method:
     def controlled(self):
         """Whether each step is divided into substeps by error control."""
         return self.family == "rkmk" and len(self.tableau.e) > 0
+
+    @property
+    def options(self):
+        """Names of the settings that not all methods have."""
+        if self.family != "rkmk":
+            return {"generalized_alpha": ("rho_inf", "space"), "constrained": ("space",)}.get(self.family, ())
+        # The iterations of implicit methods could stop at no order.
+        return ("dexpinv",) * (not self.implicit) + ("space",) + ("rtol", "atol") * self.controlled
 
     @cached_property
     def tableau(self):

@@ -17,6 +17,12 @@ from liegroup_sim_ros.recording.check import is_promise
 from liegroup_sim_ros.recording.damaged_survey import survey
 from liegroup_sim_ros.recording.walk import clean
 
+# Entries of settings.json that are shown.
+OF_SETTINGS = (
+    *("scene", "method", "group", "step", "stabilisation", "promise", "steps_per_sample"),
+    *("part", "previous", "wall_start", "versions", "machine"),
+)
+
 
 def add_arguments(parser):
     """Arguments of the subcommand."""
@@ -67,23 +73,7 @@ def as_json(found):
         "duration_s": (last - first) * 1e-9,
         "messages": found.count,
         "lost": sum(found.lost.values()),
-        **{
-            name: settings.get(name)
-            for name in (
-                "scene",
-                "method",
-                "group",
-                "step",
-                "stabilisation",
-                "promise",
-                "steps_per_sample",
-                "part",
-                "previous",
-                "wall_start",
-                "versions",
-                "machine",
-            )
-        },
+        **{name: settings.get(name) for name in OF_SETTINGS},
         "start_step": state.get("steps"),
         "bodies": state.get("bodies"),
         "topics": [

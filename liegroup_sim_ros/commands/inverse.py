@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.text import Text
 
 from liegroup_core import Simulation, SimulationError
-from liegroup_core.engine import METHOD, STEP
+from liegroup_core.engine import METHOD
 from liegroup_core.fields.values import LARGEST_NUMBER
 from liegroup_core.layout import make_layout
 from liegroup_core.linear import inverse_dynamics
@@ -69,7 +69,7 @@ def run(args):
     refuse_repeated("--inputs", args.inputs or [])
     scene = robot_scene(args.scene, args)
     is_recording = Path(args.motion).suffix == ".mcap"
-    simulation = Simulation(scene, METHOD, STEP, estimate=False, quiet=True)
+    simulation = Simulation(scene, METHOD, estimate=False, quiet=True)
     kinds = simulation.layout.coordinates.units
     times, columns = _of_recording(args.motion, scene) if is_recording else _of_table(args.motion, kinds)
     joints = args.joints or _followed(simulation, columns)

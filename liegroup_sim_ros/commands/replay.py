@@ -13,8 +13,10 @@ from liegroup_sim_ros.playback.resimulate import report, resimulate
 from liegroup_sim_ros.recording.read import read_recording
 
 from .arguments import not_negative
+from .setting_options import add_settings, given
 
 EXIT_DIFFERENT = 1
+OTHER = ("method", "step", "group", "stabilisation")  # settings that may replace recorded ones
 
 
 def add_arguments(parser):
@@ -65,10 +67,7 @@ def add_arguments(parser):
     )
     parser.add_argument("--record", metavar="OUT", help="with --from: record the new run to this file (*.mcap)")
     parser.add_argument("--resimulate", action="store_true", help="simulate the run again and compare; publish nothing")
-    parser.add_argument("--method", metavar="NAME", help="with --resimulate: use another method")
-    parser.add_argument("--step", type=float, metavar="S", help="with --resimulate: use another step, s")
-    parser.add_argument("--group", metavar="NAME", help="with --resimulate: use another group")
-    parser.add_argument("--stabilisation", metavar="KIND", help="with --resimulate: use another stabilisation")
+    add_settings(parser, OTHER, "with --resimulate: ", "recorded")
     parser.add_argument(
         "--bound", type=not_negative, metavar="X", help="with --resimulate: largest accepted difference, m and rad"
     )
@@ -76,11 +75,7 @@ def add_arguments(parser):
 
 def run(args):
     """Run the subcommand; returns the exit code. Raises RecordingError, SceneError and others."""
-    other = {
-        name: getattr(args, name)
-        for name in ("method", "step", "group", "stabilisation")
-        if getattr(args, name) is not None
-    }
+    other = given(args, OTHER)
     if args.instant is not None:
         if args.resimulate or other or args.bound is not None:
             raise ReplayError("--from cannot be combined with --resimulate and its options")
@@ -90,7 +85,7 @@ def run(args):
     if args.resimulate:
         return _resimulate(args.file, other, args.bound)
     if other or args.bound is not None:
-        raise ReplayError("--method, --step, --group, --stabilisation and --bound require --resimulate")
+        raise ReplayError(f"--{', --'.join(OTHER)} and --bound require --resimulate")
     for name in ("rate", "start", "clock_rate"):
         value = getattr(args, name)
         if not (math.isfinite(value) and value >= 0.0):

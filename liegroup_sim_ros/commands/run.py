@@ -18,11 +18,9 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from liegroup_core import Simulation, SimulationError
-from liegroup_core.accuracy import DEFAULT, LONGEST, MINUTE
-from liegroup_core.engine import STABILISATIONS, STEP
 from liegroup_core.errors import LieGroupSimError
 from liegroup_core.forces.instants import LATEST
-from liegroup_core.methods.table import CONFIGURATION_GROUPS, METHODS
+from liegroup_core.settings import SETTINGS
 from liegroup_core.simulation import default_steps
 from liegroup_sim_ros.messages.events import slips
 from liegroup_sim_ros.numbers import counted
@@ -33,6 +31,7 @@ from liegroup_sim_ros.recording.write_tables import TableFile, TorqueFile
 from liegroup_sim_ros.signals import Signals
 
 from .robot_options import add_robot_options, robot_scene
+from .setting_options import add_settings, given
 
 log = logging.getLogger("liegroup_core")
 
@@ -42,21 +41,6 @@ DENSEST = 1000.0  # samples in a second of the motion, if --every is not given
 HIGHEST_RATE = 1e9  # samples in a second: stamps are whole ns
 MOST_SAMPLES = 10**8
 NOTE = 160  # maximum length of a printed note of the scene
-# Options that are passed on to Simulation if given.
-SETTINGS = (
-    "accuracy",
-    "horizon",
-    "method",
-    "step",
-    "group",
-    "stabilisation",
-    "baumgarte_time",
-    "dexpinv",
-    "space",
-    "rtol",
-    "atol",
-    "rho_inf",
-)
 
 
 class RunError(LieGroupSimError):
@@ -110,68 +94,15 @@ def add_arguments(parser):
     add_robot_options(parser)
 
 
-def add_settings(parser):
-    """Add the options of the simulation: method, step and others."""
-    parser.add_argument(
-        "--accuracy",
-        type=float,
-        metavar="X",
-        help="largest error in the first --horizon seconds: positions relative to the "
-        "characteristic length, attitudes in rad; it may grow by the same amount in each further "
-        f"horizon (default: {DEFAULT:g}; docs/how-to/choose_accuracy.md)",
-    )
-    parser.add_argument(
-        "--horizon",
-        type=float,
-        metavar="S",
-        help=f"simulated time in s to which the accuracy refers, at most {LONGEST:g} (default: {MINUTE:g})",
-    )
-    parser.add_argument("--method", metavar="NAME", help=f"instead of an accuracy: {', '.join(METHODS)}")
-    parser.add_argument(
-        "--step",
-        type=float,
-        metavar="S",
-        help=f"step size of the method in s (default: {STEP:g}); with an accuracy: output interval in s "
-        "(default: at most 0.01 and a fiftieth of the horizon)",
-    )
-    parser.add_argument(
-        "--group",
-        metavar="NAME",
-        help=f"configuration space: {', '.join(CONFIGURATION_GROUPS)}, or auto, which is relative, or "
-        "so3xr3 for rotation methods (default: auto)",
-    )
-    parser.add_argument(
-        "--stabilisation",
-        metavar="KIND",
-        help=f"{', '.join(STABILISATIONS)} (default: none; with an accuracy, projection for joints that would drift)",
-    )
-    parser.add_argument(
-        "--baumgarte-time",
-        type=float,
-        metavar="S",
-        help="time constant in s with which constraint violations decay (default: ten steps)",
-    )
-    parser.add_argument("--dexpinv", metavar="KIND", help="exact or truncated (default: exact)")
-    parser.add_argument(
-        "--space",
-        metavar="KIND",
-        help="auto, or space to use the spatial formulation also for planar mechanisms (default: auto)",
-    )
-    for name in ("rtol", "atol"):
-        parser.add_argument(f"--{name}", type=float, metavar="X", help="tolerance of a method with error control")
-    parser.add_argument("--rho-inf", type=float, metavar="X", help="damping of generalized_alpha")
-
-
 def given_settings(args):
     """Arguments of Simulation from those of a command line. Raises RunError."""
-    settings = {name: getattr(args, name) for name in SETTINGS if getattr(args, name) is not None}
+    settings = given(args)
     if "method" in settings:
         for name in {"accuracy", "horizon"} & settings.keys():
             raise RunError(f"--{name} cannot be combined with --method: remove one of them")
     elif "step" not in settings and args.duration is not None:
         whole_steps(args.duration, args.duration)  # raises RunError for an invalid duration
-        horizon = MINUTE if args.horizon is None else args.horizon
-        settings["step"] = dividing_step(args.duration, horizon)
+        settings["step"] = dividing_step(args.duration, settings.get("horizon", SETTINGS["horizon"].default))
     return settings
 
 

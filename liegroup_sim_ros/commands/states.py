@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from liegroup_core import Simulation
-from liegroup_core.engine import METHOD, STEP
+from liegroup_core.engine import METHOD
 from liegroup_core.errors import LieGroupSimError
 from liegroup_core.forces.instants import LATEST
 from liegroup_sim_ros.playback.branch import Branches
@@ -79,7 +79,7 @@ def states(args, running=False):
         if not 0.0 <= time <= LATEST:
             raise StateError(f"--at must be times from 0 to {LATEST:g} s, got {time:g}")
     if not any(args.at) and not running:
-        yield 0.0, Simulation(scene, METHOD, STEP, estimate=False, quiet=True), None
+        yield 0.0, Simulation(scene, METHOD, estimate=False, quiet=True), None
         return
     simulation = Simulation(scene)
     for time in args.at or [0.0]:

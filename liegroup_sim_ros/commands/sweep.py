@@ -11,11 +11,11 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from liegroup_core import load_scene
-from liegroup_core.engine import STEP
 from liegroup_core.linear.channels import OUTPUTS
 from liegroup_core.scene.consistency import AT_POSES, AT_VELOCITIES
 from liegroup_core.scene.load import scene_as_written
 from liegroup_core.scene.parameters import ParameterError, parameters
+from liegroup_core.settings import checked
 from liegroup_core.study.sweep.file import SweepFile
 from liegroup_core.study.sweep.sweep import OK, Sweep, describe
 from liegroup_core.study.trade.cache import PACKAGES
@@ -24,7 +24,8 @@ from liegroup_sim_ros.recording.attachments import versions
 from liegroup_sim_ros.report.sweep_tables import print_sweep
 from liegroup_sim_ros.version import __version__
 
-from .run import RunError, add_settings, divides, given_settings, whole_steps
+from .run import RunError, divides, given_settings, whole_steps
+from .setting_options import add_settings
 
 EXIT_ALL_FAILED, EXIT_INTERRUPTED = 1, 130
 MOST_PARTS = 1000  # maximum number of steps in the period of --keep, for an accuracy
@@ -139,9 +140,7 @@ def _sweep_of(scene, args):
     try:
         if args.keep is not None and args.step is None and "method" not in settings:
             settings["step"] = _step_of_both(settings["step"], args.duration, args.keep)
-        step = settings.get("step", STEP)
-        if not step > 0.0:
-            raise ValueError(f"the step must be a positive number of seconds, got {step:g}")
+        step = checked("step", settings.get("step"))
         every = None if args.keep is None else whole_steps(args.keep, step, "--keep")
         sweep = Sweep.of(
             scene,

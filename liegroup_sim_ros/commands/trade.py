@@ -11,13 +11,14 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from liegroup_core import SimulationError, load_scene
-from liegroup_core.engine import STABILISATIONS
 from liegroup_core.errors import LieGroupSimError
 from liegroup_core.methods.table import CONFIGURATION_GROUPS, METHODS
+from liegroup_core.settings import SETTINGS
 from liegroup_core.study.trade.trade import BUDGET, Trade
 from liegroup_sim_ros.report.files import check_files, write_file, write_text
 from liegroup_sim_ros.report.trade_figures import document_part, print_trade
 
+STABILISATIONS = SETTINGS["stabilisation"].choices
 FORMAT = 1  # of the JSON document, config/trade.schema.json
 
 

@@ -16,7 +16,7 @@ from liegroup_sim_ros.view.server import LOOPBACK, ViewError
 
 from .arguments import has_display
 from .robot_options import add_robot_options, robot_scene
-from .run import SETTINGS, add_settings
+from .setting_options import add_settings, given
 
 PORT = 8090
 LOOK = 0.2  # s between two looks for Ctrl-C
@@ -83,10 +83,10 @@ def show(source, signals, browser=True, beside=None, robot=None, host=LOOPBACK[0
 def _sources(args):
     """(Source, Source beside it or None) of the arguments. Raises LieGroupSimError."""
     recordings = [what for what in args.what if what.endswith(".mcap") or is_remote(what)]
-    given = [name for name in SETTINGS if getattr(args, name) is not None]
-    given += [name for name in ("out", "paused") if getattr(args, name)]
-    if given and (recordings or args.node is not None):
-        raise ViewError(f"--{given[0].replace('_', '-')} is for a scene, not for recordings and nodes")
+    settings = given(args)
+    of_scene = [*settings, *(name for name in ("out", "paused") if getattr(args, name))]
+    if of_scene and (recordings or args.node is not None):
+        raise ViewError(f"--{of_scene[0].replace('_', '-')} is for a scene, not for recordings and nodes")
     if args.robot is not None and not recordings and args.node is None:
         raise ViewError("--robot is for recordings and nodes: give the robot file as WHAT")
     if args.node is not None:
@@ -106,7 +106,6 @@ def _sources(args):
             raise ViewError(f"{recordings[1]}: its bodies are not those of {recordings[0]}")
         return (*shown, None)[:2]
     scene = robot_scene(args.what[0], args)
-    settings = {name: getattr(args, name) for name in SETTINGS if getattr(args, name) is not None}
     console = Console(stderr=True)
     try:
         with console.status("starting"):

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import yaml
 
-from .parameters import TABLE, allowed_values
+from .parameters import TABLE
 
 PRESET_HEAD = """\
 # All parameters of the simulation node with their defaults (the scene is an example). To use other
@@ -27,12 +27,9 @@ def table_text():
     """Table of the parameters in Markdown."""
     rows = ["| parameter | default | allowed | settable while running | meaning |", "|---|---|---|---|---|"]
     for entry in TABLE:
-        default = {"": "empty", False: "false", True: "true"}.get(
-            entry.default if isinstance(entry.default, (str, bool)) else None, entry.default
-        )
         rows.append(
-            f"| `{entry.name}` | {default} | {allowed_values(entry)} | "
-            f"{'no' if entry.read_only else 'yes'} | {entry.text} |"
+            f"| `{entry.name}` | {entry.shown_default} | {entry.allowed} | "
+            f"{'yes' if entry.settable else 'no'} | {entry.meaning} |"
         )
     return "\n".join(rows)
 
@@ -42,8 +39,8 @@ def preset_text():
     text = PRESET_HEAD
     for entry in TABLE:
         value = entry.default if entry.name != "scene" else "heavy_top"
-        meaning = entry.text + (f"; one of {', '.join(entry.choices)}" if entry.choices else "")
-        text += textwrap.indent(textwrap.fill(meaning, 90), "    # ") + "\n"
+        meaning = entry.meaning + (f"; {entry.allowed}" if entry.choices else "")
+        text += textwrap.indent(textwrap.fill(meaning, 90, break_on_hyphens=False), "    # ") + "\n"
         # A value in the file would be refused where the package is missing.
         text += f"    {'# ' * bool(entry.package)}{yaml.safe_dump({entry.name: value}, width=1000)}"
     return text

@@ -7,18 +7,17 @@ what is wrong and what to do. An integer is accepted for a floating-point parame
 
 import difflib
 import logging
-import math
+from dataclasses import dataclass
+from functools import partial
 from importlib.util import find_spec
 from types import SimpleNamespace
-from typing import NamedTuple
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.parameter import Parameter
 
-from liegroup_core.accuracy import DEFAULT, LONGEST, MINUTE, SMALLEST
-from liegroup_core.engine import STABILISATIONS, STEP
 from liegroup_core.fields.values import suggestion
-from liegroup_core.methods.table import CONFIGURATION_GROUPS, METHODS
+from liegroup_core.methods.table import METHODS
+from liegroup_core.settings import SETTINGS, Setting
 from liegroup_core.simulation import default_steps
 from liegroup_sim_ros.messages.samples import OPTIONAL, TF_LINKS
 from liegroup_sim_ros.messages.topics import MOST_OWN, own_by_default
@@ -26,8 +25,10 @@ from liegroup_sim_ros.serving.joint_command_input import INTERFACES
 from liegroup_sim_ros.serving.outputs import NodeParameterError
 
 QOS_PREFIX = "qos_overrides."
-RELIABILITIES = ("reliable", "best_effort")
-DEEPEST = 1_000_000  # largest QoS depth, messages
+_QOS = {
+    "reliability": Setting("reliability", "reliable", "", choices=("reliable", "best_effort")),
+    "depth": Setting("depth", 1, "", "messages", 1, 1_000_000),
+}
 LONGEST_SHOWN = 60  # characters of a wrong value in an error text
 HOLDS = ("one_step", "timeout", "until_replaced")
 ACCURACY = ("accuracy", "accuracy_horizon")  # not used with a method
@@ -37,16 +38,12 @@ LEAST = 1e-9  # of numbers that are not 0: the resolution of time stamps in s, a
 AUTO = "auto"  # a method or stabilisation that an accuracy chooses
 
 
-class Entry(NamedTuple):
+@dataclass(frozen=True)
+class Entry(Setting):
     """One parameter. Its type is that of its default."""
 
-    name: str
-    default: object
-    text: str
-    read_only: bool = True  # False: may be set while the node runs
-    choices: tuple = ()
-    low: float | None = None
-    high: float | None = None
+    least: float = LEAST
+    settable: bool = False  # True: may be set while the node runs
     is_topic_rate: bool = False  # True: messages are sent at whole steps, see Values.steps
     package: str = ""  # without this package the default is 0
 
@@ -55,30 +52,35 @@ class Entry(NamedTuple):
         """Default on this machine."""
         return self.default if not self.package or find_spec(self.package) else 0.0
 
+    @property
+    def meaning(self):
+        """As of a Setting, with what the default means."""
+        return super().meaning + (f"; {self.shown_default}: {self.means}" if self.means else "")
+
+
+def _setting(of_run, more="", **changes):
+    """Entry of a setting of a run; more: of its text."""
+    setting = vars(SETTINGS[of_run])
+    return Entry(**setting | {"text": setting["text"] + more, "least": LEAST} | changes)
+
+
+_live = partial(Entry, settable=True)
+
 
 def _rate(name, default, topics, remark="", package=""):
-    return Entry(
-        name,
-        default,
-        f"rate of {topics} in Hz of simulated time; 0: not published{remark}",
-        read_only=False,
-        low=0.0,
-        high=1e5,
-        is_topic_rate=True,
-        package=package,
-    )
+    text = f"rate of {topics} in Hz of simulated time; 0: not published{remark}"
+    return _live(name, default, text, "", 0.0, 1e5, is_topic_rate=True, package=package)
 
 
 # Rate of topics for viewers in Hz, as robot_state_publisher has by default: nearly smooth, and a divisor of 100 Hz, so
 # that it requires no other step.
 VIEWED = 20.0
 TABLE = (
-    Entry(
+    _live(
         "scene",
         "",
         "path of a scene file (YAML) or of a robot (URDF, xacro, SDF, MJCF; also package:// and "
         "model://), or name of an example scene; ~/reload loads a new value",
-        read_only=False,
     ),
     Entry(
         "world_folders",
@@ -86,130 +88,68 @@ TABLE = (
         "folders, separated by colons, from which (with subfolders) requests may load scenes and robots, in "
         "addition to the tree of scene, the example scenes and the search paths of ROS and Gazebo; /: any file",
     ),
-    Entry(
-        "accuracy",
-        DEFAULT,
-        "largest error in the first accuracy_horizon seconds: of positions relative to the mechanism's "
-        "size, of attitudes in rad. It may grow by as much in each further horizon. If real time "
-        "requires it, the node makes the accuracy coarser and sends an event",
-        read_only=False,
-        low=SMALLEST,
-        high=1.0,
+    _setting(
+        "accuracy", ". If real time requires it, the node makes the accuracy coarser and sends an event", settable=True
     ),
-    Entry(
-        "accuracy_horizon",
-        MINUTE,
-        "simulated time in which the error may grow by the accuracy, s",
-        low=LEAST,
-        high=LONGEST,
+    _setting("horizon", name="accuracy_horizon"),
+    _setting("method", default=AUTO, choices=(AUTO, *METHODS)),
+    _setting("stabilisation", default=AUTO, choices=(AUTO, *SETTINGS["stabilisation"].choices)),
+    _setting("group"),
+    _setting(
+        "step", default=0.0, low=0.0, high=10.0, means=SETTINGS["step"].means + ", and the shortest period of a rate"
     ),
-    Entry(
-        "method",
-        AUTO,
-        "integration method; auto: method and step sizes that keep the accuracy",
-        choices=(AUTO, *METHODS),
-    ),
-    Entry(
-        "stabilisation",
-        AUTO,
-        "correction of constraint drift; auto: projection if an accuracy is set and joints would drift, else none",
-        choices=(AUTO, *STABILISATIONS),
-    ),
-    Entry(
-        "group",
-        "auto",
-        "configuration space: SE(3) or SO(3) x R^3 for every body, or relative, the product of the "
-        "joints' motion groups; auto: relative, for rotation methods SO(3) x R^3",
-        choices=("auto", *CONFIGURATION_GROUPS),
-    ),
-    Entry(
-        "step",
-        0.0,
-        f"step size of the method, s; 0: {STEP:g}. With an accuracy: interval of checks and of single steps; "
-        "0: at most 0.01, a fiftieth of accuracy_horizon and the shortest period of a rate",
-        low=0.0,
-        high=10.0,
-    ),
-    Entry(
+    _setting(
         "estimate",
-        True,
-        "estimate the global error, at about 1.8 times the cost. The estimate is in ~/state, "
-        "/diagnostics, ~/errors and the covariances of ~/BODY/odometry and "
+        ". The estimate is in ~/state, /diagnostics, ~/errors and the covariances of ~/BODY/odometry and "
         "~/BODY/pose_with_covariance",
     ),
-    Entry(
-        "real_time_factor",
-        1.0,
-        "simulated seconds per second; 0: as fast as possible",
-        read_only=False,
-        low=0.0,
-        high=1e6,
-    ),
+    _live("real_time_factor", 1.0, "simulated seconds per second; 0: as fast as possible", "", 0.0, 1e6),
     Entry("start_paused", False, "start paused, until ~/resume or ~/step is called"),
-    Entry("step_count", 1, "number of steps per call of ~/step", read_only=False, low=1, high=1000000),
-    Entry(
-        "continue_from",
-        "",
-        "recording (*.mcap) to continue with its scene, method and step, instead of scene; empty: none",
-    ),
-    Entry("continue_at", 0.0, "time stamp in the recording continue_from at which to continue, s", low=0.0, high=1e9),
+    _live("step_count", 1, "number of steps per call of ~/step", "", 1, 1000000),
+    Entry("continue_from", "", "recording (*.mcap) to continue, with its scene, method and step", means="none"),
+    Entry("continue_at", 0.0, "time stamp in the recording continue_from at which to continue", "s", 0.0, 1e9),
     Entry(
         "continue_inputs",
         False,
         "apply the wrenches and commands recorded after continue_at; false: all wrenches end there, "
         "and driven joints that were commanded come to rest",
     ),
+    _live("snapshot", "snapshot", "name of the snapshot that ~/save_snapshot saves and ~/restore_snapshot restores"),
     Entry(
-        "snapshot",
-        "snapshot",
-        "name of the snapshot that ~/save_snapshot saves and ~/restore_snapshot restores",
-        read_only=False,
-    ),
-    Entry(
-        "record", "", "recording file (*.mcap; missing folders are created), or existing folder; empty: no recording"
+        "record", "", "recording file (*.mcap; missing folders are created), or existing folder", means="no recording"
     ),
     Entry(
         "record_rate",
         0.0,
-        "rate of poses, twists and ~/errors in the recording in Hz of simulated time; 0: publish_rate",
+        "rate of poses, twists and ~/errors in the recording in Hz of simulated time",
         low=0.0,
         high=1e5,
+        means="publish_rate",
         is_topic_rate=True,
     ),
     Entry(
         "record_flush_interval",
         1.0,
-        "longest wall time that messages wait in memory before they are written, s; a "
-        "killed process loses at most this",
+        "longest wall time in s that messages wait in memory before they are written; a killed process loses at most "
+        "this",
         low=0.01,
         high=3600.0,
     ),
     Entry(
-        "record_split_size",
-        0,
-        "size in bytes after which the recording continues in a new, self-contained file; 0: never",
-        low=0,
-        high=10**15,
+        "record_split_size", 0, "size after which a new, self-contained file begins", "bytes", 0, 10**15, means="never"
     ),
-    Entry(
-        "record_split_duration",
-        0.0,
-        "simulated time after which the recording continues in a new file, s; 0: never",
-        low=0.0,
-        high=1e9,
-    ),
+    Entry("record_split_duration", 0.0, "simulated time after which a new file begins", "s", 0.0, 1e9, means="never"),
     Entry("record_metadata", False, "write a metadata.yaml that makes the folder a rosbag2 bag"),
     Entry("view", False, "open a page in the browser that shows this node, see `liegroup_sim view`"),
     Entry("world_frame", "world", "frame id of the poses"),
     Entry("frame_prefix", "", "prefix of the frame ids of all bodies, such as robot1/; world_frame has no prefix"),
     _rate("publish_rate", 100.0, "poses, twists and ~/errors", "; recordings require it or record_rate"),
-    Entry(
+    _live(
         "body_topics",
         AUTO,
         "bodies with topics of their own, such as ~/BODY/pose, ~/BODY/twist and ~/BODY/wrench: all, none, or names "
         f"separated by commas or spaces; auto: all if the scene has at most {MOST_OWN} bodies, else none. Unless all "
         "have, ~/poses and ~/twists have all bodies. ~/reload uses a new value",
-        read_only=False,
     ),
     _rate("clock_rate", 100.0, "/clock"),
     _rate("state_rate", 10.0, "~/state"),
@@ -224,81 +164,46 @@ TABLE = (
         "robot_state_publisher that publishes the others",
         choices=TF_LINKS,
     ),
-    Entry(
-        "arrow_scale",
-        0.01,
-        "length of the arrows in ~/markers, m per N and per N m",
-        read_only=False,
-        low=0.0,
-        high=1e6,
-    ),
-    Entry(
+    _live("arrow_scale", 0.01, "length of the arrows in ~/markers", "m per N and per N m", 0.0, 1e6),
+    _live(
         "wrench_hold",
         "timeout",
-        "how long a wrench from ~/wrench or ~/BODY/wrench acts: one step, "
-        "wrench_timeout, or until the next one of its source",
-        read_only=False,
+        "how long a wrench from a topic acts: one step, wrench_timeout, or until the next one of its source",
         choices=HOLDS,
     ),
-    Entry(
-        "wrench_timeout",
-        0.1,
-        "duration of a wrench if wrench_hold is timeout, s of simulated time",
-        read_only=False,
-        low=LEAST,
-        high=1e6,
-    ),
-    Entry(
+    _live("wrench_timeout", 0.1, "simulated duration of a wrench if wrench_hold is timeout", "s", LEAST, 1e6),
+    _live(
         "command_timeout",
         0.0,
-        "duration of a command from ~/joint_commands or ~/commands, s of simulated time; 0: until the "
-        "next one of its joint",
-        read_only=False,
-        low=0.0,
-        high=1e6,
+        "simulated duration of a command from ~/joint_commands or ~/commands",
+        "s",
+        0.0,
+        1e6,
+        means="until the next one of its joint",
     ),
-    Entry(
+    _live(
         "command_stamps",
         True,
         "commands for joints start at their time stamp if that is in the future; false: stamps are "
         "ignored, for publishers with another clock",
-        read_only=False,
     ),
-    Entry(
+    _live(
         "command_jump",
         0.0,
         "largest distance of a commanded position from the present position of the servo or driven joint, "
         "rad or m; of a trajectory: largest change within trajectory_period. Larger ones are "
         "refused; 0: only positions beyond the limits of the joint are refused",
-        read_only=False,
         low=0.0,
         high=1e6,
     ),
-    Entry(
-        "command_joints",
-        "",
-        "joints of ~/commands, separated by commas, in the order of its numbers; empty: no such topic",
-    ),
+    Entry("command_joints", "", "joints of ~/commands in the order of its numbers, with commas", means="no such topic"),
     Entry("command_interface", "position", "quantity that ~/commands contains", choices=INTERFACES),
-    Entry(
-        "trajectory_period",
-        0.002,
-        "time during which the targets of a trajectory for the servos are constant, s of simulated time",
-        low=1e-5,
-        high=1.0,
-    ),
-    Entry(
-        "motion_time",
-        0.02,
-        "time in which a driven joint reaches a commanded position or velocity, s of simulated time",
-        low=1e-5,
-        high=1e3,
-    ),
+    Entry("trajectory_period", 0.002, "simulated time for which targets of trajectories are constant", "s", 1e-5, 1.0),
+    Entry("motion_time", 0.02, "simulated time in which a driven joint reaches a command", "s", 1e-5, 1e3),
 )
 _ENTRIES = {entry.name: entry for entry in TABLE}
 RATES = tuple(entry.name for entry in TABLE if entry.is_topic_rate)
 log = logging.getLogger("liegroup_core")
-_TYPE_NAMES = {str: "a text", bool: "true or false", int: "a whole number", float: "a number"}
 # Declared by rclpy itself. This node publishes simulated time, so it cannot subscribe to it: use_sim_time
 # from a launch file is ignored at start, and a later change is refused.
 _BUILT_IN = ("use_sim_time", "start_type_description_service")
@@ -306,20 +211,14 @@ _BUILT_IN = ("use_sim_time", "start_type_description_service")
 
 def check(name, value):
     """Convert a value to its parameter's type. Raises NodeParameterError."""
-    entry = _ENTRIES[name]
-    expected = type(entry.default)
-    if expected is float and type(value) is int:
-        value = float(value)
-    if type(value) is not expected:
-        raise NodeParameterError(f"parameter {name}: must be {_TYPE_NAMES[expected]}, got {_shown(value)}")
-    if entry.choices and value not in entry.choices:
-        raise NodeParameterError(f"parameter {name}: must be {_listed(entry.choices)}, got {_shown(value)}")
-    if expected is float and not math.isfinite(value):
-        raise NodeParameterError(f"parameter {name}: must be finite, got {_shown(value)}")
-    is_tiny = expected is float and entry.low == 0.0 < value < LEAST
-    if entry.low is not None and (not entry.low <= value <= entry.high or is_tiny):
-        raise NodeParameterError(f"parameter {name}: must be {_range(entry)}, got {_shown(value)}")
-    return value
+    return _checked(_ENTRIES[name], name, value)
+
+
+def _checked(setting, name, value):
+    try:
+        return setting.check(value, f"parameter {name}: ")
+    except ValueError as error:
+        raise NodeParameterError(str(error)) from None
 
 
 def read_parameters(node):
@@ -356,13 +255,14 @@ def read_parameters(node):
         for name in ACCURACY:  # defaults are accepted: a dump of all parameters contains them
             if getattr(values, name) != _ENTRIES[name].default:
                 raise NodeParameterError(f"parameter {name}: cannot be combined with method; remove one of them")
-        values.step = values.step or STEP
+        values.step = values.step or SETTINGS["step"].default
     elif not (values.estimate or values.continue_from):
         raise NodeParameterError("parameter estimate: must be true with an accuracy; or choose a method")
     values.rates = {name: getattr(values, name) for name in RATES}
     values.qos = [name for name in overrides if name.startswith(QOS_PREFIX)]
     for name in values.qos:
-        _check_qos(name, overrides[name])
+        if policy := _QOS.get(name.rpartition(".")[2]):
+            _checked(policy, name, overrides[name])  # clearer than the text of rclpy
     if values.record and not (values.publish_rate or values.record_rate):
         raise NodeParameterError(
             "parameter publish_rate: must be greater than 0 to record, because a recording consists of poses and "
@@ -401,7 +301,7 @@ def watch_parameters(node, prepare, changed):
     def convert(parameters):
         return [
             Parameter(p.name, value=float(p.value))
-            if p.name in _ENTRIES and type(_ENTRIES[p.name].default) is float and type(p.value) is int
+            if p.name in _ENTRIES and _ENTRIES[p.name].kind is float and type(p.value) is int
             else p
             for p in parameters
         ]
@@ -430,44 +330,12 @@ def watch_parameters(node, prepare, changed):
     node.add_post_set_parameters_callback(apply)
 
 
-def allowed_values(entry):
-    """Allowed values of an Entry as text."""
-    return _listed(entry.choices) or (_range(entry) if entry.low is not None else _TYPE_NAMES[type(entry.default)])
-
-
-def _check_qos(name, value):
-    """Raise NodeParameterError for an invalid QoS value, with a clearer text than that of rclpy."""
-    policy = name.rpartition(".")[2]
-    if policy == "reliability" and value not in RELIABILITIES:
-        raise NodeParameterError(f"parameter {name}: must be {_listed(RELIABILITIES)}, got {_shown(value)}")
-    if policy == "depth" and not (type(value) is int and 1 <= value <= DEEPEST):
-        raise NodeParameterError(
-            f"parameter {name}: must be a whole number of at least 1 and at most {DEEPEST}, got {_shown(value)}"
-        )
-
-
 def _descriptor(entry):
-    descriptor = ParameterDescriptor(description=entry.text, read_only=entry.read_only)
-    if entry.choices:
-        descriptor.additional_constraints = f"one of: {', '.join(entry.choices)}"
-    elif entry.low is not None:
-        descriptor.additional_constraints = _range(entry)
-        if type(entry.default) is int:
-            descriptor.integer_range = [IntegerRange(from_value=entry.low, to_value=entry.high)]
-        else:
-            descriptor.floating_point_range = [FloatingPointRange(from_value=entry.low, to_value=entry.high)]
+    descriptor = ParameterDescriptor(
+        description=entry.meaning, read_only=not entry.settable, additional_constraints=entry.allowed
+    )
+    if entry.kind is int:
+        descriptor.integer_range = [IntegerRange(from_value=entry.low, to_value=entry.high)]
+    elif entry.kind is float:
+        descriptor.floating_point_range = [FloatingPointRange(from_value=entry.low, to_value=entry.high)]
     return descriptor
-
-
-def _shown(value):
-    text = repr(value)
-    return text if len(text) <= LONGEST_SHOWN else f"{text[:LONGEST_SHOWN]}..."
-
-
-def _range(entry):
-    zero = "0, or " if entry.low == 0.0 and type(entry.default) is float else ""
-    return f"{zero}at least {(zero and LEAST) or entry.low:g} and at most {entry.high:g}"
-
-
-def _listed(names):
-    return f"{', '.join(names[:-1])} or {names[-1]}" if names else ""

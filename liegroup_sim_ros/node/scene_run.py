@@ -296,20 +296,15 @@ def _from_scene(values, scene):
     scene = scene or load_scene(values.scene, allow_files=os.sep == values.world_folders)
     for note in scene.differences:
         log.warning("%s: %s", scene.name, note)
-    common = {"group": values.group, "stabilisation": None if values.stabilisation == AUTO else values.stabilisation}
+    if values.method == AUTO:
+        chosen = {"accuracy": values.accuracy, "horizon": values.accuracy_horizon}
+    else:
+        chosen = {"method": values.method, "estimate": values.estimate}
+    stabilisation = None if values.stabilisation == AUTO else values.stabilisation
+    step = values.step or fitting_step(values)  # a method always has one
     try:
-        if values.method != AUTO:
-            simulation = Simulation(scene, values.method, values.step, **common, estimate=values.estimate)
-        else:
-            simulation = Simulation(
-                scene,
-                step=values.step or fitting_step(values),
-                **common,
-                accuracy=values.accuracy,
-                horizon=values.accuracy_horizon,
-            )
+        return Simulation(scene, step=step, group=values.group, stabilisation=stabilisation, **chosen)
     except SceneError:
         raise
     except ValueError as error:
         raise NodeParameterError(f"parameter accuracy, method, step or group: {error}") from None
-    return simulation

@@ -10,6 +10,7 @@ from liegroup_core.forces.commands import MOTION, TARGET, Command
 from liegroup_core.forces.instants import NS
 from liegroup_core.mechanism.body_model import initial_state as state_of_scene
 from liegroup_core.methods.table import METHODS
+from liegroup_core.settings import OF_ENGINE
 from liegroup_sim_ros.recording.attachments import restore
 from liegroup_sim_ros.recording.read import RecordingError
 
@@ -64,12 +65,8 @@ def make_simulation(scene, settings, quiet=True, **other):
     options, promise = settings.get("options") or {}, settings.get("promise")
     if other.get("method") == settings["method"]:
         del other["method"]  # the recorded accuracy stays
-    chosen = {
-        "step": settings["step"],
-        "group": settings["group"],
-        "stabilisation": settings.get("stabilisation") or "none",
-        "baumgarte_time": settings.get("baumgarte_time"),
-    }
+    older = {"stabilisation": "none", "baumgarte_time": None} | settings
+    chosen = {name: older[name] for name in OF_ENGINE}
     if "method" in other:  # without options of the recorded method
         return Simulation(scene, quiet=quiet, **(chosen | {"estimate": False} | other))
     if promise and settings["method"] == METHOD:

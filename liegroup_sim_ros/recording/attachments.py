@@ -14,6 +14,7 @@ from importlib.metadata import PackageNotFoundError, version
 import numpy as np
 
 from liegroup_core.forces.commands import Commands
+from liegroup_core.settings import of_engine
 from liegroup_core.state import encoded
 from liegroup_core.study.machine import cpu_name
 from liegroup_sim_ros.version import __version__
@@ -104,10 +105,7 @@ def settings(simulation, sample_steps):
         "format": 1,
         "scene": simulation.scene.name,
         "method": simulation.method,
-        "group": simulation.group,
-        "step": simulation.step,
-        "stabilisation": simulation.stabilisation,
-        "baumgarte_time": simulation.baumgarte_time,
+        **of_engine(simulation),
         "options": simulation.options,
         "promise": _promise(simulation),
         "steps_per_sample": sample_steps,

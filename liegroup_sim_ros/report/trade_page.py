@@ -5,7 +5,7 @@ from html import escape
 
 import numpy as np
 
-from liegroup_core.accuracy import DEFAULT
+from liegroup_core.settings import SETTINGS
 
 from .page import frame, plot_card, table, unbroken
 from .plots import BASE, COLOURS, label
@@ -47,7 +47,9 @@ def curves(part):
 
 def accuracy_text(entry):
     """Label of a simulation to an accuracy."""
-    return f"accuracy {entry['accuracy']:g}" + (", the default" if entry["accuracy"] == DEFAULT else "")
+    return f"accuracy {entry['accuracy']:g}" + (
+        ", the default" if entry["accuracy"] == SETTINGS["accuracy"].default else ""
+    )
 
 
 def _stars(part):

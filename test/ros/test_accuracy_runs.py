@@ -17,7 +17,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from scene_runs import Run
 
 from liegroup_core import Simulation, load_scene
-from liegroup_core.accuracy import DEFAULT, METHOD, MINUTE
+from liegroup_core.accuracy import METHOD
 from liegroup_core.running_error import PART
 from liegroup_sim_ros.analysis.analyse import analyse
 from liegroup_sim_ros.commands.main import main
@@ -75,7 +75,7 @@ def test_a_node_with_nothing_but_a_scene_keeps_its_accuracy_and_says_so(client, 
         errors = process.end()
     assert "heavy_top: 1 body, accuracy 0.0001 in 60 s, running" in errors, errors
     figures = figures_of(states[-1])
-    assert float(figures["accuracy"]) == DEFAULT and float(figures["accuracy_horizon_s"]) == MINUTE
+    assert float(figures["accuracy"]) == 1e-4 and float(figures["accuracy_horizon_s"]) == 60.0
     assert figures["method"] == "rkmk853"
     assert figures["accurate_until_s"] == figures["predictable_until_s"] == "inf"
     assert 0.0 <= float(figures["position_error_m"]) < 1e-4
@@ -91,8 +91,8 @@ def test_a_node_with_nothing_but_a_scene_keeps_its_accuracy_and_says_so(client, 
     assert found["problems"] == [] and len(found["pushes"]) >= 4
     promise = found["promise"]
     assert promise["kept"] is True and promise["beyond"] is False
-    assert (promise["accuracy"], promise["horizon"]) == (DEFAULT, MINUTE)
-    assert promise["error"] < DEFAULT and promise["seconds"] > 1.5
+    assert (promise["accuracy"], promise["horizon"]) == (1e-4, 60.0)
+    assert promise["error"] < 1e-4 and promise["seconds"] > 1.5
     assert "the accuracy of 0.0001 in 60 s is kept" in found["verdict"]
 
 

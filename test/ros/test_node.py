@@ -324,7 +324,7 @@ def test_every_preset_has_valid_parameters(path):
 def test_numbers_that_divide_have_a_smallest_value(entry):
     """Periods and durations below the resolution of stamps, 1 ns, and rates whose periods overflow, are refused."""
     for value in (5e-324, 1e-12) if entry.name != "accuracy" else (5e-324,):
-        with pytest.raises(NodeParameterError, match=f"parameter {entry.name}: must be .*at least"):
+        with pytest.raises(NodeParameterError, match=f"parameter {entry.name}: must be .*number from"):
             check(entry.name, value)
     assert math.isfinite(1.0 / check(entry.name, max(entry.low, 1e-9)))
 

@@ -175,8 +175,11 @@ def test_the_recording_is_repeated_bit_by_bit(process):
             {"command_joints": "elbow", "command_interface": "velocity"},
             "command_interface: joint 'elbow' takes no velocity commands: it needs to be driven, or a servo without",
         ),
-        ({"command_interface": "force"}, "command_interface: must be position"),
-        ({"trajectory_period": 0.0}, "trajectory_period: must be at least 1e-05"),
+        (
+            {"command_interface": "force"},
+            "command_interface: unknown command_interface 'force'; choose one of: position",
+        ),
+        ({"trajectory_period": 0.0}, "trajectory_period: must be a number from 1e-05"),
     ],
 )
 def test_wrong_parameters_are_refused_in_one_line(tmp_path, capfd, parameters, text):

@@ -304,7 +304,7 @@ def test_an_accuracy_is_not_set_as_an_attribute():
         ({"accuracy": 1e-3, "method": "rkmk4"}, "either an accuracy or a method"),
         ({"accuracy": 1e-3, "rtol": 1e-3}, "an accuracy sets rtol"),
         ({"estimate": False}, "an accuracy requires the error estimate"),
-        ({"step": "1"}, "the step must be a positive number"),
+        ({"step": "1"}, "step must be a positive number"),
     ],
 )
 def test_wrong_settings_are_refused_in_one_line(wrong, text):

@@ -91,10 +91,6 @@ def initialise(model, work, memory, pose_in, twist_in, external_in):
 class GeneralizedAlpha:
     """Generalised-alpha method for a model, with its memory between calls.
 
-    rho_inf : spectral radius at infinite step size, 0..1
-    space   : "auto": in relative coordinates planar mechanisms (mechanism/planar.py)
-              move in their plane; "space": all mechanisms move in space
-
     The memory holds Vdot, its mean a, lambda and the factors. It is initialised from the index-1
     accelerations after `restart`, after a failed step, and when wrenches or the step size change.
     """
@@ -116,14 +112,6 @@ class GeneralizedAlpha:
         inputs += self.work.targets.size + self.work.motions.size
         self._started_for = np.zeros(1 + inputs)
         self.restart()
-
-    @staticmethod
-    def options(method):
-        """{name: (default, description of valid values, check)} of the method's options."""
-        return {
-            "rho_inf": (0.8, "a number from 0 to 1", _is_fraction),
-            "space": ("auto", "'auto' or 'space'", ("auto", "space").__contains__),
-        }
 
     def restart(self):
         """Clear the memory between calls: the state was set."""
@@ -171,8 +159,3 @@ class GeneralizedAlpha:
             array[...] = value
         if status != OK:
             memory.factored[0] = 0.0
-
-
-def _is_fraction(value):
-    """True for a number from 0 to 1."""
-    return isinstance(value, (int, float)) and 0.0 <= value <= 1.0

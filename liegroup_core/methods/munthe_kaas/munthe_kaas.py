@@ -21,7 +21,7 @@ from liegroup_core.dynamics.state import model_and_work
 from liegroup_core.events.switching import Switching
 from liegroup_core.mechanism.arrays import FURTHER, SPAN, links_of
 from liegroup_core.mechanism.bodies import COUNT, FROM, SINCE, TO, UNTIL
-from liegroup_core.methods.table import EXACT, is_positive
+from liegroup_core.methods.table import EXACT
 from liegroup_core.status import DEPENDENT_ROWS, EVENT, OK, SUBSTEP_TOO_SMALL, TOO_MANY_SUBSTEPS
 
 from . import explicit
@@ -42,12 +42,7 @@ TOO_TIGHT = (DEPENDENT_ROWS, SUBSTEP_TOO_SMALL, TOO_MANY_SUBSTEPS)
 class MuntheKaas:
     """Munthe-Kaas method of a tableau of METHODS for a model, with its memory between calls.
 
-    dexpinv    : "exact", or "truncated" to the powers of ad that an explicit method's order needs
-    space      : "auto": in relative coordinates planar mechanisms (mechanism/planar.py)
-                 move in their plane; "space": all mechanisms move in space
-    rtol, atol : tolerances of error control, only for a tableau with an error estimate; see above
-
-    passes     : True: a step that cannot meet its tolerance is taken with a larger one, see `follow_accuracy`
+    passes : True: a step that cannot meet its tolerance is taken with a larger one, see `follow_accuracy`
     """
 
     passes = _may_run_ahead = False
@@ -85,19 +80,6 @@ class MuntheKaas:
     def freedoms(self):
         """Number of freedoms of the joints, or of the bodies."""
         return self._work.slopes.size // (2 * self._blocks)
-
-    @staticmethod
-    def options(method):
-        """{name: (default, description of valid values, check)} of the method's options."""
-        choices = {"dexpinv": ("exact", "truncated"), "space": ("auto", "space")}
-        if method.implicit:
-            del choices["dexpinv"]  # there is no order at which its iterations could stop
-        options = {
-            name: (values[0], " or ".join(map(repr, values)), values.__contains__) for name, values in choices.items()
-        }
-        if method.controlled:
-            options["rtol"] = options["atol"] = (1e-6, "a positive number", is_positive)
-        return options
 
     def restart(self):
         """Clear the memory between calls: the state was set."""

@@ -110,11 +110,7 @@ def advance(model, work, memory, parts, h, steps, pose_in, twist_in, external_in
 
 
 class Constrained:
-    """RATTLE method for a model, with its memory and initial guesses between calls.
-
-    space : "auto": in relative coordinates planar mechanisms (mechanism/planar.py) move
-            in their plane; "space": all mechanisms move in space
-    """
+    """RATTLE method for a model, with its memory and initial guesses between calls."""
 
     substeps = (0, 0)
 
@@ -125,11 +121,6 @@ class Constrained:
         self._model = _for_rates(self._model)
         self._memory = make_memory(self._model)
         self._advance = SameTypes(advance)
-
-    @staticmethod
-    def options(method):
-        """{name: (default, description of valid values, check)} of the method's options."""
-        return {"space": ("auto", "'auto' or 'space'", ("auto", "space").__contains__)}
 
     def restart(self):
         """Clear the initial guesses: the state was set."""

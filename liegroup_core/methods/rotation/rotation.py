@@ -146,11 +146,6 @@ class Rotation:
         self.work = make_work(model, self._weights.shape[1])
         self._advance = SameTypes(advance)
 
-    @staticmethod
-    def options(method):
-        """Options of the method: none."""
-        return {}
-
     def restart(self):
         """Do nothing: there is no memory between calls."""
 

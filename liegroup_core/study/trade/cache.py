@@ -22,7 +22,7 @@ from pathlib import Path
 from zipfile import BadZipFile
 
 from liegroup_core.compiling import cache_root, source_digest
-from liegroup_core.methods.table import is_positive
+from liegroup_core.fields.arguments import is_finite
 from liegroup_core.study.machine import cpu_name
 
 from .configurations import as_time
@@ -111,7 +111,7 @@ class Store(Folder):
             found = json.loads((self.folder / "horizon.json").read_text())
         except (OSError, ValueError, TypeError):
             return None
-        return as_time(found) if is_positive(found) else None
+        return as_time(found) if is_finite(found) and found > 0.0 else None
 
     def truth(self, horizon):
         """ReferenceSolution over a horizon, or None."""

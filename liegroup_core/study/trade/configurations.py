@@ -51,7 +51,7 @@ class Ladder(NamedTuple):
         return METHODS[self.method].controlled
 
 
-class Setting(NamedTuple):
+class Configuration(NamedTuple):
     """Configuration of one run: arguments of Simulation."""
 
     method: str
@@ -62,13 +62,9 @@ class Setting(NamedTuple):
 
     def arguments(self):
         """Keyword arguments of Simulation."""
-        return {
-            "method": self.method,
-            "step": self.step,
-            "group": self.group,
-            "stabilisation": self.stabilisation,
-            **dict(self.options),
-        }
+        named = self._asdict()
+        options = named.pop("options")
+        return named | dict(options)
 
 
 def ladders(layout, methods=None, groups=None, stabilisations=None):
@@ -143,10 +139,10 @@ def rungs(ladder, horizon):
         step = next(step for step in steps(horizon) if step <= min(OUTER_STEP, horizon / SAMPLES))
         for power in range(LOOSEST, TIGHTEST - 1, -1):
             tolerance = float(f"1e{power}")
-            yield Setting(*ladder[:1], float(step), *ladder[1:], (("rtol", tolerance), ("atol", tolerance)))
+            yield Configuration(*ladder[:1], float(step), *ladder[1:], (("rtol", tolerance), ("atol", tolerance)))
     else:
         for step in steps(horizon):
-            yield Setting(*ladder[:1], float(step), *ladder[1:])
+            yield Configuration(*ladder[:1], float(step), *ladder[1:])
 
 
 def as_time(seconds):

@@ -42,7 +42,7 @@ class Study(NamedTuple):
 
 
 def measure(work):
-    """Measure a (Study, Setting); returns a cell, JSON types.
+    """Measure a (Study, Configuration); returns a cell, JSON types.
 
     returns dict of method, step, group, stabilisation, options of the configuration, and
         stopped     reason why there is no result, one line; if it is None, the dict also has
@@ -62,14 +62,7 @@ def measure(work):
     study, setting = work
     if study.sources != source_digest():
         raise TasksError("a worker has another version of liegroup_core: install the same version on all machines")
-    cell = {
-        "method": setting.method,
-        "step": setting.step,
-        "group": setting.group,
-        "stabilisation": setting.stabilisation,
-        "options": dict(setting.options),
-        "cpu": cpu_name(),
-    }
+    cell = setting._asdict() | {"options": dict(setting.options), "cpu": cpu_name()}
     try:
         simulation = Engine(_scene(study.text), **setting.arguments())
         with listening() as said:

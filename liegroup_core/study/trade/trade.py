@@ -10,21 +10,23 @@ Each ladder is measured from its coarsest step to finer ones, until its error re
 the reference uncertainty, or the next step would take too long (docs/how-to/choose_accuracy.md).
 """
 
-from liegroup_core.accuracy import DEFAULT
 from liegroup_core.compiling import source_digest
 from liegroup_core.engine import Engine
 from liegroup_core.layout import make_layout
 from liegroup_core.methods.families import fitting_methods
-from liegroup_core.methods.table import METHODS, is_positive
+from liegroup_core.methods.table import METHODS
+from liegroup_core.settings import SETTINGS
 from liegroup_core.study.tasks import run
 
 from .cache import Store
-from .configurations import LEAST_SAMPLES, SAMPLES, Setting, as_time, ladders, rungs, sample_spacing
+from .configurations import LEAST_SAMPLES, SAMPLES, Configuration, as_time, ladders, rungs, sample_spacing
 from .measure import Study, measure, to_accuracy
 from .reference_solution import find_truth
 
 ACCURACIES = (1e-3, 1e-6, 1e-9)
-WANTED = tuple(sorted({*ACCURACIES, DEFAULT}, reverse=True))  # accuracies of simulations to an accuracy
+WANTED = tuple(
+    sorted({*ACCURACIES, SETTINGS["accuracy"].default}, reverse=True)
+)  # accuracies of simulations to an accuracy
 # A guaranteed accuracy is this factor above the measured error, because the error may be larger between
 # the samples of the measurement.
 MARGIN = 3.0
@@ -190,7 +192,7 @@ class _Climb:
         self._rungs = (
             rungs(ladder, truth.horizon)
             if steps is None
-            else (Setting(*ladder[:1], step, *ladder[1:]) for step in steps)
+            else (Configuration(*ladder[:1], step, *ladder[1:]) for step in steps)
         )
         self._all = steps is not None
         self._known, self._horizon, self._budget = truth.known, float(truth.horizon), budget
@@ -239,16 +241,13 @@ class _Climb:
 
 def _fitting(step, horizon):
     """Step as float. Raises ValueError if too few samples of the horizon lie on whole steps."""
-    if (
-        not is_positive(step)
-        or horizon % as_time(step)
-        or (horizon / sample_spacing(as_time(step), horizon) < LEAST_SAMPLES)
-    ):
+    step = SETTINGS["step"].check(step)
+    if horizon % as_time(step) or horizon / sample_spacing(as_time(step), horizon) < LEAST_SAMPLES:
         raise ValueError(
             f"a step of {step:g} s does not divide a horizon of {float(horizon):g} s: at "
             f"least {LEAST_SAMPLES} of its {SAMPLES} samples must lie on whole steps"
         )
-    return float(step)
+    return step
 
 
 def _ladder(cell):
@@ -269,9 +268,7 @@ def _key_of(setting):
 
 def _checked(horizon):
     """Horizon as Fraction. Raises ValueError."""
-    if not (isinstance(horizon, (int, float)) and 1e-9 <= horizon <= 1e6):
-        raise ValueError(f"the horizon must be a number of seconds from 1e-9 to 1e6, got {horizon!r}")
-    found = as_time(horizon)
+    found = as_time(SETTINGS["horizon"].check(horizon))
     # Samples and steps must be decimal numbers with few digits.
     if as_time(float(f"{horizon:.3g}")) != found:
         raise ValueError(
