@@ -143,9 +143,9 @@ class Engine:
         self.scene, self.method, self.step = scene, SETTINGS["method"].check(method), checked("step", step)
         check_group(method, group)
         self.options = check_options(method, options)
-        self.stabilisation, self.baumgarte_time = stabilisation, baumgarte_time
         layout = make_layout(scene) if layout is None else layout
         self.layout = layout.with_model(_stabilised(layout.model, stabilisation, baumgarte_time, self.step))
+        self.stabilisation, self.baumgarte_time = stabilisation, baumgarte_time and float(baumgarte_time)
         self.group = choose_group(method, group)
         self._integrator = make_integrator(method, self.layout, self.group, self.step, self.options)
         self._work = self._integrator.work

@@ -8,6 +8,8 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from liegroup_core.fields.arguments import check_name, got, is_finite
 from liegroup_core.methods.families import NOT_ON_SE3, ON_JOINTS
 from liegroup_core.methods.table import CONFIGURATION_GROUPS, METHODS, RELATIVE
@@ -63,20 +65,20 @@ class Setting:
             return what
         if (self.low, self.high) == (POSITIVE, math.inf):
             return "a positive number" + (" of seconds" if self.unit == "s" else unit)
-        zero, low = ("0, or ", self.least) if self.low == 0.0 < self.least else ("", self.low)
+        zero, low = ("0, or ", self.least) if self.low == 0.0 < self.least and self.kind is float else ("", self.low)
         return f"{zero}{what} from {low:g} to {self.high:g}{unit}"
 
     def check(self, value, where=""):
         """Return a value as its type. Raises ValueError; where: beginning of the message, instead of the name."""
         if self.choices:
-            check_name(value, self.choices, f"{where}unknown {self.name} {{}}")
+            check_name(value, self.choices, f"{where}unknown {'value' if where else self.name} {{}}")
         elif not self._is_valid(value):
             raise ValueError(f"{where or self.name + ' '}must be {self.allowed}, {got(value)}")
         return self.kind(value)
 
     def _is_valid(self, value):
         if self.kind not in (int, float):
-            return isinstance(value, self.kind)
+            return isinstance(value, (bool, np.bool_) if self.kind is bool else str)
         if not (is_finite(value) if self.kind is float else type(value) is int):
             return False
         return self.low <= value <= self.high and not 0.0 < value < self.least

@@ -76,8 +76,10 @@ class Simulation(Engine):
         self._quiet = quiet
         if method is not None and (accuracy, horizon) != (None, None):
             raise ValueError("give either an accuracy or a method: an accuracy selects the method itself")
+        SETTINGS["estimate"].check(estimate)
         if method is not None or not isinstance(scene, Scene):
-            super().__init__(scene, method, step, group, stabilisation or "none", baumgarte_time, quiet, **options)
+            stabilisation = "none" if stabilisation is None else stabilisation
+            super().__init__(scene, method, step, group, stabilisation, baumgarte_time, quiet, **options)
             self._running = RunningError(self) if estimate else None
             self._keep()
             return

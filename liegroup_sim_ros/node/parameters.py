@@ -209,14 +209,10 @@ log = logging.getLogger("liegroup_core")
 _BUILT_IN = ("use_sim_time", "start_type_description_service")
 
 
-def check(name, value):
+def check(name, value, setting=None):
     """Convert a value to its parameter's type. Raises NodeParameterError."""
-    return _checked(_ENTRIES[name], name, value)
-
-
-def _checked(setting, name, value):
     try:
-        return setting.check(value, f"parameter {name}: ")
+        return (setting or _ENTRIES[name]).check(value, f"parameter {name}: ")
     except ValueError as error:
         raise NodeParameterError(str(error)) from None
 
@@ -262,7 +258,7 @@ def read_parameters(node):
     values.qos = [name for name in overrides if name.startswith(QOS_PREFIX)]
     for name in values.qos:
         if policy := _QOS.get(name.rpartition(".")[2]):
-            _checked(policy, name, overrides[name])  # clearer than the text of rclpy
+            check(name, overrides[name], policy)  # clearer than the text of rclpy
     if values.record and not (values.publish_rate or values.record_rate):
         raise NodeParameterError(
             "parameter publish_rate: must be greater than 0 to record, because a recording consists of poses and "

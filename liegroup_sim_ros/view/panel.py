@@ -8,7 +8,8 @@ from html import escape
 
 import numpy as np
 
-from liegroup_core.methods.table import METHODS
+from liegroup_core.engine import METHOD
+from liegroup_core.settings import SETTINGS
 
 from .export import save_html, save_picture, save_video
 from .server import ViewError
@@ -241,8 +242,8 @@ class Panel:
             accuracy = gui.add_text("accuracy", source.accuracy)
             self._button("Set accuracy", lambda: source.tell_by_event("accuracy", _number(accuracy.value)))
         if "method" in source.takes:
-            method = gui.add_dropdown("method", tuple(METHODS), initial_value="rkmk4")
-            step = gui.add_number("step, s", 0.001, min=1e-9, step=0.001)
+            method = gui.add_dropdown("method", SETTINGS["method"].choices, initial_value=METHOD)
+            step = gui.add_number("step, s", SETTINGS["step"].default, min=1e-9, step=0.001)
             hint = "from the instant of the time line"
             self._button("Continue with this method", lambda: self._continue(method.value, step.value), hint=hint)
 

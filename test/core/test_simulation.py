@@ -99,7 +99,7 @@ def test_a_stretched_immobile_linkage_is_refused(slack):
         ({"group": "so3"}, "unknown group 'so3'; choose one of: auto, se3, so3xr3"),
         ({"step": 0.0}, "positive"),
         ({"step": float("nan")}, "positive"),
-        ({"step": "1"}, "positive"),
+        ({"step": "1"}, "step must be a positive number of seconds, got '1'"),
     ],
 )
 def test_wrong_options_are_refused_with_a_remedy(setting, text):

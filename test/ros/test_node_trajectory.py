@@ -175,10 +175,7 @@ def test_the_recording_is_repeated_bit_by_bit(process):
             {"command_joints": "elbow", "command_interface": "velocity"},
             "command_interface: joint 'elbow' takes no velocity commands: it needs to be driven, or a servo without",
         ),
-        (
-            {"command_interface": "force"},
-            "command_interface: unknown command_interface 'force'; choose one of: position",
-        ),
+        ({"command_interface": "force"}, "command_interface: unknown value 'force'; choose one of: position"),
         ({"trajectory_period": 0.0}, "trajectory_period: must be a number from 1e-05"),
     ],
 )
