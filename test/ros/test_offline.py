@@ -311,7 +311,6 @@ def test_a_failed_run_leaves_the_samples_before_the_failure(tmp_path, capsys, su
         ({"--accuracy": "0"}, "accuracy must be a number from 1e-13 to 1, got 0"),
         ({"--accuracy": "nan"}, "accuracy must be a number from 1e-13 to 1, got nan"),
         ({"--horizon": "-1"}, "horizon must be a number from 1e-09 to 1e+06 s, got -1"),
-        ({"--horizon": "1e300"}, "horizon must be a number from 1e-09 to 1e+06 s, got 1e+300"),
         ({"--accuracy": "1e-6", "--method": "rkmk4"}, "--accuracy cannot be combined with --method: remove one"),
         ({"--horizon": "5", "--method": "rkmk4"}, "--horizon cannot be combined with --method: remove one of them"),
         ({"scene": "nope"}, "nope"),
