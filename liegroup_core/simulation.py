@@ -340,7 +340,8 @@ class Simulation(Engine):
                 self._look()
             if self.steps < until.step and (self._halted or (enough is not None and enough())):
                 return
-        super()._go(until, enough)
+        if self.now < until:
+            super()._go(until, enough)
 
     def _exceeded_between(self):
         """Whether the estimate exceeds the accuracy for the first time, and between two checkpoints."""
