@@ -19,18 +19,7 @@ from liegroup_core.forces.timetable import Timetable, just_after
 from liegroup_core.inputs import Inputs
 from liegroup_core.joint_events import JointEvents
 from liegroup_core.layout import Layout, make_layout
-from liegroup_core.mechanism.bodies import (
-    COUNT,
-    FROM,
-    LARGEST_TURN,
-    NOW,
-    OFFSET,
-    SINCE,
-    SINGULAR_SOLVES,
-    STEP_SIZE,
-    TO,
-    UNTIL,
-)
+from liegroup_core.mechanism.bodies import LARGEST_TURN, SINGULAR_SOLVES
 from liegroup_core.mechanism.body_model import initial_state
 from liegroup_core.methods.families import choose_group, make_integrator
 from liegroup_core.methods.table import METHODS
@@ -151,7 +140,7 @@ class Engine:
         self._work = self._integrator.work
         self._switching = getattr(self._integrator, "switching", None)
         self._stop_at = getattr(self._integrator, "stop_at", None)
-        self._work.clock[STEP_SIZE], self._limited = self.step, False
+        self._work.clock.step_size[0], self._limited = self.step, False
         rows, motions = self.layout.model.forces.applied_wrench, self.layout.motions.values()
         self._grid = StepGrid(self.step)
         self._timetable = Timetable(rows, self._grid, motions)
@@ -621,8 +610,8 @@ class Engine:
         """Set the inputs and times of steps of size h from an Instant to another."""
         self._set_inputs(start, h)
         clock = self._work.clock
-        clock[FROM], clock[SINCE] = self._grid.parts(start)
-        clock[TO], clock[UNTIL] = self._grid.parts(end)
+        clock.from_step[0], clock.since[0] = self._grid.parts(start)
+        clock.to_step[0], clock.until[0] = self._grid.parts(end)
         if self._stop_at is not None and (self._limited or self._timetable or self.inputs.known_end is not AFTER):
             known = min(self._timetable.next_after(start), self.inputs.known_end)
             if known is not AFTER or self._limited:
@@ -638,7 +627,7 @@ class Engine:
             # The middle is away from all changes: round-off has no influence.
             work.motions[:] = self.layout.motions_at(time + 0.5 * h, self.inputs.commanded)
         clock, whole = work.clock, h == self.step and not start.offset
-        clock[COUNT], clock[OFFSET], clock[NOW] = (self.steps, 0.0, time) if whole else (0.0, time, time)
+        clock.count[0], clock.offset[0], clock.now[0] = (self.steps, 0.0, time) if whole else (0.0, time, time)
 
     def set_inputs_from(self, instant):
         """Set the time-dependent inputs that hold from an Instant on: a motion may have knots within the step."""

@@ -193,7 +193,7 @@ def reason(engine, status):
     # because then a substep has failed.
     searched = (NO_RATTLE_STEP, NOT_CONVERGED) if not METHODS[engine.method].controlled else ()
     if status & 0xFF in searched and not engine.changes_before(engine.steps + 1):
-        engine._work.clock[:3] = 0.0, engine.base.time, engine.base.time
+        engine._work.clock.numbers[:3] = 0.0, engine.base.time, engine.base.time
         state = engine._pose.copy(), engine._twist.copy()
         works = step_that_works(engine._integrator, engine.step, *state, engine.inputs.external)
         hint = f": {works:g} s works from here" if works else ""

@@ -8,11 +8,12 @@ the functions themselves without Numba. This package does not depend on mechanic
 from .backend import compiled
 from .cache import cache_root, source_digest
 from .kernels import Choice, Kernel, SameTypes, kernel, shared, stepper, subroutine, warm_up
-from .structs import Struct, borrowed, shaped
+from .structs import Record, Struct, borrowed, shaped
 
 __all__ = [
     "Choice",
     "Kernel",
+    "Record",
     "SameTypes",
     "Struct",
     "borrowed",

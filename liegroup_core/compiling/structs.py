@@ -86,6 +86,30 @@ class Struct:
         return self._words[1].ctypes.data
 
 
+class Record(Struct):
+    """Base of Structs of single numbers that kernels read and write: each field is a view (1,) of `numbers`."""
+
+    numbers: np.ndarray  # all of them, in the order of the fields
+
+    def __init_subclass__(cls):
+        super().__init_subclass__()
+        cls._places = {name: k - 1 for k, name in enumerate(cls.__dataclass_fields__)}
+
+    @classmethod
+    def make(cls, numbers=None):
+        """Record with these numbers, or zeros."""
+        count = len(cls._places) - 1
+        numbers = np.zeros(count) if numbers is None else numbers
+        return cls(numbers, *(numbers[k : k + 1] for k in range(count)))
+
+    def __reduce__(self):
+        return type(self).make, (self.numbers,)
+
+    def part_of(self, first, last):
+        """View of the numbers from one field to another."""
+        return self.numbers[self._places[first] : self._places[last] + 1]
+
+
 class Borrowed:
     """Function that returns its argument; in kernels, an array without reference counts.
 

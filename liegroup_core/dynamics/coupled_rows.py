@@ -4,14 +4,13 @@
 The model has each of them as a cut joint with an element and rows of zeros; this module adds the nonzero
 terms, couplings.py forces and accelerations. The row of a driven joint is that of a coupling of this
 joint alone, and rheonomic: its coordinate, rate and acceleration are those of the prescribed motion at
-the time of the stage, work.clock[NOW].
+the time of the stage, work.clock.now[0].
 """
 
 from liegroup_core.compiling import kernel, subroutine
 from liegroup_core.forces.turn import unwrapped
 from liegroup_core.joints.motion import acceleration, position, rate
 from liegroup_core.mechanism.arrays import COORDINATE
-from liegroup_core.mechanism.bodies import NOW
 
 from .constraints import ROUND_OFF, position_residuals
 from .couplings import law, link_coordinate
@@ -70,10 +69,10 @@ def set_all_rows(model, work):
         for k in range(coupling["terms"][0], coupling["terms"][1]):
             slip += work.factors[k] * work.stage_twist[n + model.coupling_terms[k]["link"], 0]
         if coupling["motion"] >= 0:
-            bias = rate(work.motions, coupling["motion"], work.clock[NOW])
+            bias = rate(work.motions, coupling["motion"], work.clock.now[0])
             slip -= bias
             if coupling["order"] == 2:
-                bias = acceleration(work.motions, coupling["motion"], work.clock[NOW])
+                bias = acceleration(work.motions, coupling["motion"], work.clock.now[0])
         work.slip[coupling["row"]] = slip
         work.bias[coupling["row"]] = bias
 
@@ -104,7 +103,7 @@ def set_coupled_gaps(model, work, moves, moved):
             gap += value
             size += terms
         if coupling["motion"] >= 0:
-            value = position(work.motions, coupling["motion"], work.clock[NOW])
+            value = position(work.motions, coupling["motion"], work.clock.now[0])
             gap -= value
             size += abs(value)
         gap -= coupling["offset"]

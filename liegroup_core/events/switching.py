@@ -16,7 +16,6 @@ import numpy as np
 from liegroup_core.dynamics.switches import LOWER, SLIDING, UPPER, modes_of
 from liegroup_core.joints.stops import WITHIN_A_TURN
 from liegroup_core.mechanism.arrays import BEGIN, COORDINATE, KNOWN, SIDE, SLIP, SPAN, WATCHED
-from liegroup_core.mechanism.bodies import COUNT, FROM, OFFSET, SINCE, TO, UNTIL
 from liegroup_core.status import BEYOND_STOP, EVENT, EVENTS_WITHOUT_END, MOST_EVENTS, OK, TOO_MANY_SUBSTEPS
 
 from .crossings import lowest
@@ -112,12 +111,12 @@ class Switching(EventTimes):
             return self._take(h, 0, *state)
         del self.events[:-MOST_KEPT]
         self.step = h
-        clock, done, first, base = work.clock, 0, work.clock[COUNT], work.clock[OFFSET]
-        begin, end = clock[FROM], clock[TO]
-        whole = clock[SINCE] == clock[UNTIL] == 0.0  # not a part of a step, which is completed at once
+        clock, done, first, base = work.clock, 0, work.clock.count[0], work.clock.offset[0]
+        begin, end = clock.from_step[0], clock.to_step[0]
+        whole = clock.since[0] == clock.until[0] == 0.0  # not a part of a step, which is completed at once
         status = self._meet_inputs(first * h + base, state)
         while status == OK and done < steps:
-            clock[COUNT], clock[OFFSET] = first + done, base
+            clock.count[0], clock.offset[0] = first + done, base
             if whole:
                 self._lead.call(begin + done, end)
             more, status = self._take(h, steps - done, *state)
@@ -135,7 +134,7 @@ class Switching(EventTimes):
                     self._return(kept, pose, twist)
                     self._change_rates(self._model, work, self._no_changes, pose, twist)
                     self._forget(logged)
-        clock[COUNT], clock[OFFSET], clock[FROM], clock[TO] = first, base, begin, end
+        clock.count[0], clock.offset[0], clock.from_step[0], clock.to_step[0] = first, base, begin, end
         return done, status
 
     def _finish_from_lead(self, h, start, state):
@@ -249,7 +248,7 @@ class Switching(EventTimes):
         elapsed, times, begun = 0.0, [], self._control.attempted[0]
         for _ in range(MOST_EVENTS):
             begin_of_substep, size = elapsed + work.watch[BEGIN], work.watch[SPAN]
-            work.clock[COUNT], work.clock[OFFSET] = 0.0, start + begin_of_substep
+            work.clock.count[0], work.clock.offset[0] = 0.0, start + begin_of_substep
             tau, crossed, status = self._locate(size, state)
             if status != OK:
                 return status
@@ -267,7 +266,7 @@ class Switching(EventTimes):
                 self.tally += crossed.any(axis=1)
             if not elapsed < h * (1.0 - 1e-13):
                 return OK
-            work.clock[COUNT], work.clock[OFFSET] = 0.0, start + elapsed
+            work.clock.count[0], work.clock.offset[0] = 0.0, start + elapsed
             status = self._take_rest(h - elapsed, begun, state)
             if status != EVENT:
                 return status

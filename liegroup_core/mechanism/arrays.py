@@ -22,7 +22,7 @@ import numpy as np
 from liegroup_core.compiling import Struct, shaped
 from liegroup_core.forces.external import COLUMNS as EXTERNAL_COLUMNS
 
-from .bodies import Model, Work
+from .bodies import CallTimes, Model, Work
 
 LARGEST_ROWS = 6  # of a joint
 
@@ -229,7 +229,7 @@ class RelativeWork(Struct):
     acting: np.ndarray
     targets: np.ndarray
     motions: np.ndarray
-    clock: np.ndarray
+    clock: CallTimes
     start_angle: np.ndarray
     report: np.ndarray
     child_jacobian: np.ndarray  # (m, 6)

@@ -11,7 +11,7 @@ axes. A pose has twelve numbers: R row by row, then r.
 """
 import numpy as np
 
-from liegroup_core.compiling import Struct, kernel
+from liegroup_core.compiling import Record, Struct, kernel, shaped
 from liegroup_core.forces.kinds import count_of_angles, target_values
 
 BODY = np.dtype([
@@ -23,9 +23,20 @@ BODY = np.dtype([
 # solves at a singular pose; smallest pivot of W; round-off in accelerations of this step; number of factors of W
 # near a singular pose.
 LARGEST_TURN, STEP_TURN, SINGULAR_SOLVES, PIVOT, ROUND_OFF, NEAR_SOLVES = range(6)
-# Entries of Work.clock. Input of a call: a step starts at COUNT h + OFFSET s, the next at (COUNT + 1) h + OFFSET.
-# NOW is the time of the stage. The call leads from FROM steps and SINCE s to TO steps and UNTIL s, of STEP_SIZE s each.
-COUNT, OFFSET, NOW, FROM, SINCE, TO, UNTIL, STEP_SIZE = range(8)
+
+
+class CallTimes(Record):
+    """Times of a call of a method: a step starts at count h + offset s, the next at (count + 1) h + offset."""
+
+    count: np.ndarray = shaped(1)
+    offset: np.ndarray = shaped(1)
+    now: np.ndarray = shaped(1)        # s, of the stage
+    from_step: np.ndarray = shaped(1)  # the call leads from these whole steps, and s after them,
+    since: np.ndarray = shaped(1)
+    to_step: np.ndarray = shaped(1)    # to these
+    until: np.ndarray = shaped(1)
+    step_size: np.ndarray = shaped(1)  # s
+
 
 class Model(Struct):
     """Constant arrays of the bodies of a scene, its forces and the elements of its joints."""
@@ -51,7 +62,7 @@ class Work(Struct):
     acting: np.ndarray             # bool, of each applied wrench of the scene: input of a call
     targets: np.ndarray            # (k, 2) position and velocity of each servo: input of a call
     motions: np.ndarray            # (d, 7) motion of each driven joint: input of a call
-    clock: np.ndarray              # (8,) COUNT, OFFSET, NOW, FROM, SINCE, TO, UNTIL, STEP_SIZE
+    clock: CallTimes
     stage_pose: np.ndarray         # (n, 12)
     stage_twist: np.ndarray        # (n, 6)
     slopes: np.ndarray             # ((s + 1) n, 12) k of stages and end: algebra, then velocity part
@@ -65,7 +76,7 @@ def make_work(model, stages):
     return Work(
         wrench=np.zeros((n, 6)), angle=np.zeros(springs), start_angle=np.zeros(springs),
         acting=np.zeros(len(model.forces.applied_wrench), dtype=bool),
-        targets=target_values(model.forces), motions=model.motions.copy(), clock=np.zeros(8),
+        targets=target_values(model.forces), motions=model.motions.copy(), clock=CallTimes.make(),
         stage_pose=np.zeros((n, 12)), stage_twist=np.zeros((n, 6)),
         slopes=np.zeros(((stages + 1) * n, 12)), report=np.zeros(6))
 

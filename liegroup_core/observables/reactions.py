@@ -25,7 +25,7 @@ from liegroup_core.joints import motion
 from liegroup_core.joints.kinds import TYPES, forbidden_rows
 from liegroup_core.joints.linkage import RANK_TOLERANCE, Linkage
 from liegroup_core.mechanism.arrays import make_relative_work
-from liegroup_core.mechanism.bodies import NOW, make_work
+from liegroup_core.mechanism.bodies import make_work
 from liegroup_core.mechanism.body_model import initial_state
 from liegroup_core.mechanism.redundancy import dependent_groups, generic_poses
 from liegroup_core.mechanism.spanning_tree import WORLD_NAME
@@ -205,7 +205,7 @@ class Reactions:
         if len(targets):
             work.targets[:] = targets
         if len(motions):
-            work.motions[:], work.clock[NOW] = motions, time
+            work.motions[:], work.clock.now[0] = motions, time
         if modes is not None and len(modes):
             set_modes(self._model, work, modes)
 

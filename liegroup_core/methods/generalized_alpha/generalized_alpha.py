@@ -33,7 +33,7 @@ from liegroup_core.compiling import SameTypes, borrowed, kernel, stepper
 from liegroup_core.dynamics.state import model_and_work
 from liegroup_core.forces.external import COLUMNS as EXTERNAL_COLUMNS
 from liegroup_core.mechanism.arrays import links_of
-from liegroup_core.mechanism.bodies import COUNT, LARGEST_TURN, NOW, OFFSET, STEP_TURN, copy_state
+from liegroup_core.mechanism.bodies import LARGEST_TURN, STEP_TURN, copy_state
 from liegroup_core.methods.table import refuse_stabilisation
 from liegroup_core.status import DEPENDENT_ROWS, OK
 
@@ -56,7 +56,7 @@ def advance(model, work, memory, numbers, h, steps, pose_in, twist_in, external_
     while done < steps and status == OK:
         begin(model, work, memory, pose, twist)
         set_old(memory, numbers)
-        work.clock[NOW] = (work.clock[COUNT] + (done + 1)) * h + work.clock[OFFSET]
+        work.clock.now[0] = (work.clock.count[0] + (done + 1)) * h + work.clock.offset[0]
         status = newton(model, work, memory, numbers, h, pose, external)
         work.report[STEP_TURN] = 0.0
         if status == OK:

@@ -9,18 +9,7 @@ import math
 from liegroup_core.compiling import borrowed, kernel, stepper
 from liegroup_core.events.crossings import first_place
 from liegroup_core.mechanism.arrays import BEGIN
-from liegroup_core.mechanism.bodies import (
-    COUNT,
-    FROM,
-    LARGEST_TURN,
-    OFFSET,
-    ROUND_OFF,
-    STEP_SIZE,
-    STEP_TURN,
-    TO,
-    UNTIL,
-    copy_state,
-)
+from liegroup_core.mechanism.bodies import LARGEST_TURN, ROUND_OFF, STEP_TURN, copy_state
 from liegroup_core.status import EVENT, OK, TOO_MANY_SUBSTEPS
 
 from . import explicit, implicit
@@ -117,7 +106,7 @@ def advance(model, work, scheme, h, steps, pose_in, twist_in, external_in):
     pose, twist, external, status = enter(model, work, pose_in, twist_in, external_in)
     watching, done = watches(model, work), 0
     while done < steps and status == OK:
-        start = (work.clock[COUNT] + done) * h + work.clock[OFFSET]
+        start = (work.clock.count[0] + done) * h + work.clock.offset[0]
         status = attempt(model, work, scheme, h, start, 0.0, 0, pose, twist, external)
         if status == OK and watching and has_event(model, work, scheme, 0.0, h):
             status = EVENT
@@ -142,7 +131,7 @@ def advance_controlled(model, work, scheme, h, steps, pose_in, twist_in, externa
     watching, done, first = watches(model, work), 0, 0
     while done < steps and status == OK:
         _save(work, pose, twist, control)
-        start, remaining = (work.clock[COUNT] + done) * h + work.clock[OFFSET], h
+        start, remaining = (work.clock.count[0] + done) * h + work.clock.offset[0], h
         attempts, planned = 0, 0
         if len(work.motions) > 0:
             first = 0  # the time at the end of the last step differs by round-off
@@ -226,12 +215,12 @@ def reach(model, work, scheme, steps, pose_in, twist_in, external_in, control):
     failed = OK
     if status == OK and steps > 0:
         status = _go_ahead(model, work, scheme, steps, pose, twist, external, control)
-        passed = int(control.base[0] - work.clock[FROM])
+        passed = int(control.base[0] - work.clock.from_step[0])
         if status == EVENT:
             work.watch[BEGIN] = time_before(work, control)
         if status != OK and passed > 0 and (status == EVENT or passed < steps):
             failed, status, steps = OK if status == EVENT else status, OK, passed
-            work.clock[TO], work.clock[UNTIL] = control.base[0], 0.0
+            work.clock.to_step[0], work.clock.until[0] = control.base[0], 0.0
     inside = steps > 0 and time_left(work, control) < 0.0
     if status == OK and inside:
         status = _go_inside(model, work, scheme, control, external)
@@ -251,7 +240,7 @@ def reach(model, work, scheme, steps, pose_in, twist_in, external_in, control):
 @kernel
 def _go_ahead(model, work, scheme, steps, pose, twist, external, control):
     """Take substeps until the lead is at the end of the call or after it. Returns a status."""
-    step, watching, status, attempts = work.clock[STEP_SIZE], watches(model, work), OK, 0
+    step, watching, status, attempts = work.clock.step_size[0], watches(model, work), OK, 0
     first = 1 if control.fresh[0] != 0.0 and len(work.motions) == 0 else 0
     remaining, before = time_left(work, control), control.size[0]
     if remaining > 0.0 and control.due[0] != 0.0:
@@ -319,7 +308,7 @@ def _next_size(control):
 @kernel
 def _go_inside(model, work, scheme, control, external):
     """Set the stage to the caller's time, which is inside the kept substep. Returns a status."""
-    start, size = time_of(control.kept_base[0], control.kept_lead[0], work.clock[STEP_SIZE]), control.last[0]
+    start, size = time_of(control.kept_base[0], control.kept_lead[0], work.clock.step_size[0]), control.last[0]
     stages, inside, status, pose = scheme.error.shape[1] - 1, len(scheme.a) - 1, OK, work.kept_pose
     work.report[STEP_TURN] = work.report[ROUND_OFF] = 0.0
     begin(model, work, pose, work.kept_twist)

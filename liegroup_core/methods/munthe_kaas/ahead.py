@@ -28,7 +28,7 @@ import scipy
 
 from liegroup_core.compiling import kernel
 from liegroup_core.mechanism.arrays import COORDINATE
-from liegroup_core.mechanism.bodies import FROM, SINCE, STEP_SIZE, TO, UNTIL, copy_state
+from liegroup_core.mechanism.bodies import copy_state
 
 from .error_control import DIVIDED
 
@@ -83,9 +83,9 @@ class Lead:
     def call(self, begin, end):
         """Set the whole steps at which a call begins and ends."""
         clock, control = self._work.clock, self._control
-        if begin != clock[FROM]:
-            control.next_after[0] = (control.next_base[0] - begin) * clock[STEP_SIZE] + control.next[0]
-        clock[FROM], clock[TO], clock[UNTIL] = begin, end, 0.0
+        if begin != clock.from_step[0]:
+            control.next_after[0] = (control.next_base[0] - begin) * clock.step_size[0] + control.next[0]
+        clock.from_step[0], clock.to_step[0], clock.until[0] = begin, end, 0.0
 
 
 def polynomials():
@@ -152,7 +152,7 @@ def between(base, since, other_base, other, step):
 @kernel
 def start_lead(work, control):
     """Start at the caller's time."""
-    control.base[0], control.lead[0], control.fresh[0] = work.clock[FROM], work.clock[SINCE], 0.0
+    control.base[0], control.lead[0], control.fresh[0] = work.clock.from_step[0], work.clock.since[0], 0.0
     control.limit_base[0], control.limit[0] = control.next_base[0], control.next[0]
     control.left[0] = control.next_after[0]
     control.begins[0] = control.leads[0] = control.shared[0] = 1.0
@@ -165,28 +165,28 @@ def meet_limit(work, control):
     base, limit = control.next_base[0], control.next[0]
     if base != control.limit_base[0] or limit != control.limit[0]:
         control.limit_base[0], control.limit[0] = base, limit
-        control.left[0] = between(control.base[0], control.lead[0], base, limit, work.clock[STEP_SIZE])
+        control.left[0] = between(control.base[0], control.lead[0], base, limit, work.clock.step_size[0])
 
 
 @kernel
 def time_left(work, control):
     """Time in s from the lead to the end of the call."""
     clock = work.clock
-    return between(control.base[0], control.lead[0], clock[TO], clock[UNTIL], clock[STEP_SIZE])
+    return between(control.base[0], control.lead[0], clock.to_step[0], clock.until[0], clock.step_size[0])
 
 
 @kernel
 def time_before(work, control):
     """Time in s from the start of the call to the lead."""
     clock = work.clock
-    return between(clock[FROM], clock[SINCE], control.base[0], control.lead[0], clock[STEP_SIZE])
+    return between(clock.from_step[0], clock.since[0], control.base[0], control.lead[0], clock.step_size[0])
 
 
 @kernel
 def fraction(work, control):
     """The end of the call as a fraction of the kept substep."""
     clock, begin = work.clock, control.kept_base[0]
-    return between(begin, control.kept_lead[0], clock[TO], clock[UNTIL], clock[STEP_SIZE]) / control.last[0]
+    return between(begin, control.kept_lead[0], clock.to_step[0], clock.until[0], clock.step_size[0]) / control.last[0]
 
 
 @kernel
@@ -198,13 +198,13 @@ def time_of(base, since, step):
 @kernel
 def passes(work, control, size, at_limit):
     """Whether a substep from the lead on ends the call, or passes the end of a step."""
-    base, clock, step = control.base[0], work.clock, work.clock[STEP_SIZE]
+    base, clock, step = control.base[0], work.clock, work.clock.step_size[0]
     after, lead = base, control.lead[0] + size
     if at_limit:
         after, lead = control.limit_base[0], control.limit[0]
     elif lead >= step * (1.0 - SAME_TIME):
         return True
-    return after > base or between(after, lead, clock[TO], clock[UNTIL], step) <= 0.0
+    return after > base or between(after, lead, clock.to_step[0], clock.until[0], step) <= 0.0
 
 
 @kernel
@@ -213,7 +213,7 @@ def shorten(work, control, size, place):
 
     place : fraction of the substep at which the event is expected, below 1
     """
-    step, lead = work.clock[STEP_SIZE], control.lead[0]
+    step, lead = work.clock.step_size[0], control.lead[0]
     control.seen[0] = size
     if lead + size <= step * (1.0 + SAME_TIME):
         control.due[0] = 1.0
@@ -239,7 +239,7 @@ def go_on(work, control, size, at_limit):
     if at_limit:
         control.base[0], control.lead[0] = control.limit_base[0], control.limit[0]
     else:
-        lead, step = control.lead[0] + size, work.clock[STEP_SIZE]
+        lead, step = control.lead[0] + size, work.clock.step_size[0]
         near = SAME_TIME * max(lead, step) if control.seen[0] > 0.0 else 0.0
         whole = math.floor((lead + near) / step)
         control.base[0] += whole

@@ -1,17 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Record of the control of the substeps: numbers that kernels read and write between the substeps of a method."""
 
-import dataclasses
-
 import numpy as np
 
-from liegroup_core.compiling import Struct, shaped
+from liegroup_core.compiling import Record, shaped
 
 
-class SubstepControl(Struct):
-    """Numbers of the error control and of the integration ahead; each field is a view (1,) of `numbers`."""
+class SubstepControl(Record):
+    """Numbers of the error control and of the integration ahead."""
 
-    numbers: np.ndarray  # all of them, in the order of the fields
     size: np.ndarray = shaped(1)  # next substep, s
     accepted: np.ndarray = shaped(1)  # numbers of accepted and of attempted substeps so far
     attempted: np.ndarray = shaped(1)
@@ -51,20 +48,3 @@ class SubstepControl(Struct):
     next_after: np.ndarray = shaped(1)
     begins: np.ndarray = shaped(1)  # 1 if no substep has begun since the lead passed the end of a step
     longer: np.ndarray = shaped(1)  # ratio of the substeps of a companion with given tolerances, or 0
-
-    def __reduce__(self):
-        return make_control, (self.numbers,)
-
-    def part_of(self, first, last):
-        """View of the numbers from one field to another."""
-        return self.numbers[PLACES[first] : PLACES[last] + 1]
-
-
-NAMES = [field.name for field in dataclasses.fields(SubstepControl)][1:]
-PLACES = {name: k for k, name in enumerate(NAMES)}
-
-
-def make_control(numbers=None):
-    """SubstepControl with these numbers, or zeros."""
-    numbers = np.zeros(len(NAMES)) if numbers is None else numbers
-    return SubstepControl(numbers, *(numbers[k : k + 1] for k in range(len(NAMES))))

@@ -24,7 +24,7 @@ with SUBSTEP_TOO_SMALL.
 import math
 
 from liegroup_core.compiling import kernel
-from liegroup_core.mechanism.bodies import ROUND_OFF, STEP_SIZE
+from liegroup_core.mechanism.bodies import ROUND_OFF
 from liegroup_core.status import OK, SUBSTEP_TOO_SMALL
 
 from . import steps
@@ -86,7 +86,7 @@ def unlike(work, control, time, count):
     the companion has more than twice as many: the two differ by the error of the simulation.
     """
     likely = max(1, math.ceil(control.longer[0] * time / control.size[0] - 1e-6))
-    if time < work.clock[STEP_SIZE]:
+    if time < work.clock.step_size[0]:
         control.jumps[0] += 1.0
         return 2 * likely + 1
     return likely + 1 if likely <= count else count
@@ -122,6 +122,6 @@ def judge(model, work, scheme, size, status, twist, control):
         control.accepted[0] += 1.0
         control.growth[0] = growth
         return OK, True
-    if control.size[0] < SMALLEST_SUBSTEP * work.clock[STEP_SIZE]:
+    if control.size[0] < SMALLEST_SUBSTEP * work.clock.step_size[0]:
         return (status if status != OK else SUBSTEP_TOO_SMALL), False
     return OK, False

@@ -5,7 +5,6 @@ import numpy as np
 
 from liegroup_core.compiling import Struct, kernel
 from liegroup_core.events.crossings import rows_and_weights
-from liegroup_core.mechanism.bodies import NOW
 from liegroup_core.methods.table import EXACT
 from liegroup_core.status import DEPENDENT_ROWS, OK
 
@@ -80,7 +79,7 @@ def substep(scheme, model, work, size, start, elapsed, first, last, pose, extern
             status = steps.move(model, work, scheme, size, stage, stage == stages or stage == inside, pose)
             if status != OK:
                 return status
-        work.clock[NOW] = start + elapsed + scheme.nodes[stage] * size
+        work.clock.now[0] = start + elapsed + scheme.nodes[stage] * size
         if stage < stages or stage > stages and stage < inside or stage == stages and (ending or last > stages + 1):
             dependent = steps.accelerate(model, work, external)
             if dependent >= 0:

@@ -21,7 +21,6 @@ for stiff forces.
 import math
 
 from liegroup_core.compiling import borrowed, kernel, subroutine
-from liegroup_core.mechanism.bodies import NOW
 from liegroup_core.methods.dense_lu import complex_lu_factorise, complex_lu_solve, lu_factorise, lu_solve
 from liegroup_core.status import DEPENDENT_ROWS, NOT_CONVERGED, OK
 
@@ -74,7 +73,7 @@ def _evaluate(scheme, model, work, j, time, pose, external):
     status = steps.move(model, work, scheme, 1.0, 1, j == END, pose)
     if status != OK:
         return status
-    work.clock[NOW] = time
+    work.clock.now[0] = time
     dependent = steps.accelerate(model, work, external)
     if dependent >= 0:
         return DEPENDENT_ROWS + (dependent << 8)
@@ -258,7 +257,7 @@ def inside(scheme, model, work, theta, start, size, pose):
                     weight = theta * (weight + scheme.inside[j, d])
                 total += weight * work.kept_slopes[j * rows + r, c]
             work.slopes[r, c] = total
-    work.clock[NOW] = start + theta * size
+    work.clock.now[0] = start + theta * size
     return steps.move(model, work, scheme, 1.0, 1, True, pose)
 
 
@@ -272,7 +271,7 @@ def substep(scheme, model, work, size, start, elapsed, first, pose_in, external_
     newton = scheme.newton
     begin = start + elapsed
     if first == 0:
-        work.clock[NOW] = begin
+        work.clock.now[0] = begin
         dependent = steps.accelerate(model, work, external)
         if dependent >= 0:
             return DEPENDENT_ROWS + (dependent << 8)

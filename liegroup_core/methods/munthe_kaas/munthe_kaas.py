@@ -20,14 +20,13 @@ from liegroup_core.compiling import SameTypes
 from liegroup_core.dynamics.state import model_and_work
 from liegroup_core.events.switching import Switching
 from liegroup_core.mechanism.arrays import FURTHER, SPAN, links_of
-from liegroup_core.mechanism.bodies import COUNT, FROM, SINCE, TO, UNTIL
 from liegroup_core.methods.table import EXACT
 from liegroup_core.status import DEPENDENT_ROWS, EVENT, OK, SUBSTEP_TOO_SMALL, TOO_MANY_SUBSTEPS
 
 from . import explicit
 from .advance import advance, advance_controlled, reach
 from .ahead import Lead
-from .control import make_control
+from .control import SubstepControl
 from .error_control import ROUNDING
 from .passage import passage
 
@@ -54,7 +53,7 @@ class MuntheKaas:
         stages = 1 if method.implicit else len(method.tableau.b)
         self._model, self._work, self.work = model_and_work(layout, group, options, stages)
         self._blocks = stages + 1 + FURTHER
-        self._control = make_control()
+        self._control = SubstepControl.make()
         self._control.most[0], self._control.length[0] = MOST_SUBSTEPS, 1.0
         self._tolerances = options.get("rtol", 0.0), options.get("atol", 1.0)
         self._lead = Lead(self._work, self._control)
@@ -242,9 +241,9 @@ class MuntheKaas:
             return self._take(h, 1, pose, twist, external)
         if not self.switching.is_settled(external):
             return 0, EVENT
-        end = self._work.clock[TO : UNTIL + 1].copy()
+        end = self._work.clock.part_of("to_step", "until").copy()
         done, status = self._take(h, 1, pose, twist, external)
-        is_before = (self._work.clock[TO : UNTIL + 1] != end).any()
+        is_before = (self._work.clock.part_of("to_step", "until") != end).any()
         return done, EVENT if status == OK and is_before else status
 
     def passage(self, *given):
@@ -254,17 +253,17 @@ class MuntheKaas:
     def _pass(self, h, steps, pose, twist, external):
         """Take steps, with larger tolerances where that is allowed and needed."""
         clock = self._work.clock
-        end = clock[TO]
+        end = clock.to_step[0]
         done, status = self._take(h, steps, pose, twist, external)
         if not (self.passes and status & 0xFF in TOO_TIGHT):
             return done, status
-        first, begin = clock[COUNT], clock[FROM]
-        whole = clock[SINCE] == clock[UNTIL] == 0.0  # not a part of a step
+        first, begin = clock.count[0], clock.from_step[0]
+        whole = clock.since[0] == clock.until[0] == 0.0  # not a part of a step
 
         def go_on(count):
-            clock[COUNT] = first + done
+            clock.count[0] = first + done
             if whole:
-                clock[FROM], clock[TO] = begin + done, begin + done + count
+                clock.from_step[0], clock.to_step[0] = begin + done, begin + done + count
             return self._take(h, count, pose, twist, external)
 
         # A halt, which sets MOST to 0 from another thread, is no reason for a larger tolerance.
@@ -288,7 +287,7 @@ class MuntheKaas:
             if done < steps:
                 more, status = go_on(steps - done)
                 done += more
-        clock[COUNT], clock[FROM], clock[TO] = first, begin, end
+        clock.count[0], clock.from_step[0], clock.to_step[0] = first, begin, end
         return done, status
 
     def _step(self, h, steps, pose, twist, external):

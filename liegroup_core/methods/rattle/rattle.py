@@ -36,7 +36,7 @@ import numpy as np
 from liegroup_core.compiling import SameTypes, borrowed, stepper
 from liegroup_core.dynamics.state import model_and_work
 from liegroup_core.mechanism.arrays import PlaneModel, links_of
-from liegroup_core.mechanism.bodies import COUNT, LARGEST_TURN, NOW, OFFSET, STEP_TURN, copy_state
+from liegroup_core.mechanism.bodies import LARGEST_TURN, STEP_TURN, copy_state
 from liegroup_core.methods.table import refuse_stabilisation
 from liegroup_core.status import OK
 
@@ -87,11 +87,11 @@ def advance(model, work, memory, parts, h, steps, pose_in, twist_in, external_in
     while done < steps and status == OK:
         begin(model, work, memory, pose, twist, external, done == 0)
         work.report[STEP_TURN] = 0.0
-        start, passed = (work.clock[COUNT] + done) * h + work.clock[OFFSET], 0.0
+        start, passed = (work.clock.count[0] + done) * h + work.clock.offset[0], 0.0
         for part in range(len(parts)):
             size = parts[part] * h
             passed = passed + parts[part] if part + 1 < len(parts) else 1.0
-            work.clock[NOW] = start + passed * h
+            work.clock.now[0] = start + passed * h
             status = first_half(model, work, memory, size, done + part == 0)
             if status == OK:
                 status = second_half(model, work, memory, size, external)
