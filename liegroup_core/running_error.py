@@ -206,8 +206,8 @@ class RunningError:
                 self._companion.now = self._companion.base  # wherever it stood before
         if not self._failed and self._companion.steps < meeting:
             return  # it was halted, too
-        if between:
-            return
+        if between or (self._failed and steps != self._next):
+            return  # which meetings there are depends on the calls
         if self._failed:
             self._alive = False
             self._lead()
