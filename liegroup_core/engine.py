@@ -615,7 +615,7 @@ class Engine:
         if self._stop_at is not None and (self._limited or self._timetable or self.inputs.known_end is not AFTER):
             known = min(self._timetable.next_after(start), self.inputs.known_end)
             if known is not AFTER or self._limited:
-                self._stop_at(*self._grid.parts(known), self._grid.between(start, known))
+                self._stop_at(self._grid, start, known)
                 self._limited = known is not AFTER
 
     def _set_inputs(self, start, h):

@@ -39,7 +39,11 @@ class Lead:
     """The lead of a method: whether there is one, and where it starts.
 
     work, control : of the method
+
+    grid, limit : StepGrid, and Instant of the next known change of the inputs
     """
+
+    grid = limit = None
 
     def __init__(self, work, control):
         self._work, self._control = work, control
@@ -83,8 +87,8 @@ class Lead:
     def call(self, begin, end):
         """Set the whole steps at which a call begins and ends."""
         clock, control = self._work.clock, self._control
-        if begin != clock.from_step[0]:
-            control.next_after[0] = (control.next_base[0] - begin) * clock.step_size[0] + control.next[0]
+        if begin != clock.from_step[0] and control.next_base[0] < math.inf:
+            control.next_after[0] = self.grid.between(self.grid.boundary(int(begin)), self.limit)
         clock.from_step[0], clock.to_step[0], clock.until[0] = begin, end, 0.0
 
 

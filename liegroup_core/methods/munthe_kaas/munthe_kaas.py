@@ -91,7 +91,7 @@ class MuntheKaas:
         self._control.part_of("size", "kept_size")[:] = self._longest, 0.0, 0.0, self._longest
         self._control.part_of("leads", "fresh")[:] = 0.0
         self._control.begins[0] = 1.0
-        self.stop_at(math.inf, 0.0, math.inf)
+        self._control.part_of("next_base", "next_after")[:] = math.inf, 0.0, math.inf
         self._control.longest[0] = math.inf if self._may_run_ahead else self._longest
         self._control.part_of("growth", "jumps")[:] = 0.0
         self._chosen[0] = 0.0
@@ -226,9 +226,10 @@ class MuntheKaas:
         """Numbers of accepted and attempted substeps since the restart; 0 without error control."""
         return int(self._control.accepted[0]), int(self._control.attempted[0])
 
-    def stop_at(self, step, since, after):
-        """Let a substep end where inputs will change: whole steps, s after them, s after the call; inf: at no time."""
-        self._control.part_of("next_base", "next_after")[:] = step, since, after
+    def stop_at(self, grid, start, known):
+        """Let a substep of a call from an Instant end at another one, where inputs will change; AFTER: at no time."""
+        self._lead.grid, self._lead.limit = grid, known
+        self._control.part_of("next_base", "next_after")[:] = *grid.parts(known), grid.between(start, known)
 
     def advance(self, h, steps, pose, twist, external):
         """Take steps of size h in place; returns (steps done, status)."""
