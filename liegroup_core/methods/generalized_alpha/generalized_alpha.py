@@ -48,7 +48,7 @@ def advance(model, work, memory, numbers, h, steps, pose_in, twist_in, external_
 
     model, work     : RelativeModel or PlaneModel, and RelativeWork
     external        : external wrenches of these steps, see forces/external.py
-    returns (steps done, status), as munthe_kaas.advance; if status is not OK, memory is invalid
+    returns (steps done, status), as munthe_kaas/advance.py; if status is not OK, memory is invalid
     """
     pose_in, twist_in, external_in = borrowed(pose_in), borrowed(twist_in), borrowed(external_in)
     pose, twist, external, status = enter(model, work, pose_in, twist_in, external_in)

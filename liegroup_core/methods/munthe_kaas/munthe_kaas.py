@@ -7,9 +7,9 @@ One step of (6.25), stages j = 1..s, on G x R^6n with G = SE(3)^n or (SO(3) x R^
 On the vector part (velocities) exp and dexp are the identity. On SO(3) x R^3 the velocity of the
 group is (omega in body axes, rdot in WORLD axes): (6.26) and the note to it.
 
-explicit.py has the step of explicit methods, implicit.py that of implicit ones. The number of stages is data,
-so that all tableaux share one compiled `advance`. With an error estimate each step is divided into substeps:
-error_control.py.
+explicit.py has the step of explicit methods, implicit.py that of implicit ones, advance.py the loops over them. The
+number of stages is data, so that all tableaux share one compiled code. With an error estimate each step is divided into
+substeps: error_control.py.
 """
 
 import math

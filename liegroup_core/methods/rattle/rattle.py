@@ -77,7 +77,7 @@ def advance(model, work, memory, parts, h, steps, pose_in, twist_in, external_in
     model, work     : RelativeModel or PlaneModel, and RelativeWork
     parts           : (k,) substeps as fractions of a step, an entry of SUBSTEPS
     external        : external wrenches of these steps, see forces/external.py
-    returns (steps done, status), as munthe_kaas.advance; if status is not OK, the initial guesses
+    returns (steps done, status), as munthe_kaas/advance.py; if status is not OK, the initial guesses
     are invalid
     """
     pose_in, twist_in = borrowed(pose_in), borrowed(twist_in)
