@@ -82,7 +82,7 @@ class ErrorEstimate:
     order : p
     least : ratio of estimate to distance if the order is not seen
 
-    distance : (n, 4) m, rad, m/s, rad/s of the last meeting
+    distance : (n, 4) m, rad, m/s, rad/s of the last checkpoint
     largest  : largest m and rad of them
     checkpoints       : number of checkpoints so far
     predictable_until : s, the last checkpoint before the estimate was UNPREDICTABLE; inf: never

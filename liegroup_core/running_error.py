@@ -206,7 +206,7 @@ class RunningError:
                 self._companion.now = self._companion.base  # wherever it stood before
         if not self._failed and self._companion.steps < meeting:
             return  # it was halted, too
-        if between or (self._failed and steps != self._next):
+        if steps != self._next:
             return  # which meetings there are depends on the calls
         if self._failed:
             self._alive = False
@@ -214,19 +214,17 @@ class RunningError:
             self.estimate.set_infinite()
             self._keep()
             return
-        if steps == self._next:
-            self.weigh()
+        self.weigh()
         self._compare()
         if self._added is not None:
             since = steps - self._set_at
             if self._added.wrong_turn(engine._twist, engine.step, since) > UNPREDICTABLE:
                 self.lost = "the added inertia of a body changes its rotation"
                 self.estimate.set_infinite()
-        if steps == self._next:
-            self._keep()
-            if self._by_work:
-                self._adapt()
-            self._next = self._next_checkpoint(steps)
+        self._keep()
+        if self._by_work:
+            self._adapt()
+        self._next = self._next_checkpoint(steps)
 
     def weigh(self):
         """Count all of a distance where the order is not seen.
