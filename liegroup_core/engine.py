@@ -426,6 +426,8 @@ class Engine:
         """As `advance_to`, of an Instant; enough : as in `advance`."""
         if self._halted:
             self._go_on()
+        if instant.step >= NEVER:
+            raise ValueError(f"a run has {NEVER - 1} steps at most: take a larger step than {self.step:g} s")
         if instant == self.base:
             self.inputs.update(instant)
         self._go(instant, enough)

@@ -6,12 +6,13 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import ArrayLike
 
-from liegroup_core.fields.arguments import check_name, finite, floats, got, is_finite
+from liegroup_core.fields.arguments import check_name, floats, got, is_finite
 from liegroup_core.forces.commands import AXES, CLEAR, EFFORT, MOTION, TARGET, WRENCH, Command, Commands
 from liegroup_core.forces.external import no_wrenches, parts_of_wrench, set_wrench
 from liegroup_core.forces.instants import AFTER
 from liegroup_core.forces.kinds import servos, target_values
 from liegroup_core.forces.schedule import BODY, DRIVE, IN_WORLD, LEVERS, SERVO, Schedule
+from liegroup_core.joints.limits import check_number, usable
 from liegroup_core.joints.motion import at, row_at, through
 
 
@@ -181,12 +182,10 @@ class Inputs:
         if axes not in AXES:
             raise ValueError(f"axes must be 'body' or 'world', got {axes!r}")
         check_name(body, self._bodies, "unknown body {}")
-        wrench = finite("a wrench must be six finite numbers (torque, force)", wrench, (6,))
+        wrench = usable("a wrench must be six finite numbers (torque, force)", wrench, (6,))
         if point is not None:
-            point = finite("a point must be three finite numbers", point, (3,))
-            with np.errstate(over="ignore"):
-                moments = np.outer(point, wrench[3:])
-            finite("point times force must be finite numbers", moments, (3, 3))
+            point = usable("a point must be three finite numbers", point, (3,))
+            usable("point times force must be finite numbers", np.outer(point, wrench[3:]), (3, 3))
         _check_source(source)
         point = None if point is None else tuple(point.tolist())
         self._command(WRENCH, body, wrench.tolist(), start, duration, source, axes, point)
@@ -211,8 +210,7 @@ class Inputs:
         """
         units = self._layout.unit_efforts
         check_name(joint, units, "joint {} is not a joint with one coordinate")
-        if not is_finite(effort):
-            raise ValueError(f"an effort must be a finite number, {got(effort)}")
+        check_number("an effort must be a finite number", effort)
         _check_source(source)
         self._layout.limits[joint].check_effort(effort)
         self._command(EFFORT, joint, (effort,), start, duration, source)
@@ -237,8 +235,7 @@ class Inputs:
         """
         self._servo(joint)
         for name, value in (("position", position), ("velocity", velocity)):
-            if not is_finite(value):
-                raise ValueError(f"a target {name} must be a finite number, {got(value)}")
+            check_number(f"a target {name} must be a finite number", value)
         self.check_jump(joint, position)
         self._layout.limits[joint].check_velocity(velocity)
         self.set_target(joint, position, velocity, start, duration)
@@ -294,11 +291,11 @@ class Inputs:
         number = self._drive(joint)
         begin, _ = self._interval(joint, start, None)
         after = np.atleast_1d(floats("times must be finite numbers", times))
-        finite(f"times must be {len(after)} finite numbers", after, (len(after),))
+        usable(f"times must be {len(after)} finite numbers", after, (len(after),))
         points = [
             part
             if part is None
-            else finite(f"{name} must be {len(after)} finite numbers", np.atleast_1d(part), after.shape)
+            else usable(f"{name} must be {len(after)} finite numbers", np.atleast_1d(part), after.shape)
             for name, part in (("positions", positions), ("velocities", velocities), ("accelerations", accelerations))
         ]
         if not (len(after) and after[0] > 0.0 and (np.diff(after) > 0.0).all()):

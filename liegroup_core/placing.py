@@ -6,10 +6,10 @@ import math
 import numpy as np
 
 from liegroup_core.events.switching import BEYOND
-from liegroup_core.fields.arguments import check_name, finite, got, is_finite, mapping
+from liegroup_core.fields.arguments import check_name, got, is_finite, mapping
 from liegroup_core.forces.commands import MOTION, Command, Commands
 from liegroup_core.joints.coupling import COUPLED, difference, turns
-from liegroup_core.joints.limits import BeyondLimits
+from liegroup_core.joints.limits import usable
 from liegroup_core.joints.motion import at, uniform
 from liegroup_core.scene.centres import pose_matrix
 from liegroup_core.scene.consistency import joint_state, switch_coordinates
@@ -19,7 +19,6 @@ from liegroup_core.scene.switches import unit_of
 
 from .errors import SceneError
 
-LARGEST = 1e100  # m, rad and per second: products of three such numbers are finite
 MOVED = 1e-9  # relative change of a driven joint's coordinate or rate above which `place` has moved it
 
 
@@ -37,8 +36,8 @@ def place(engine, poses=None, twists=None, joints=None) -> None:
     wrenches of `apply_wrench` are cleared. A driven joint keeps its
     velocity unless the given values prevent it; if it is moved, it continues at its new velocity.
     Raises SceneError with the joint, and its residual or its stop, if the joints do not allow it,
-    BeyondLimits, a ValueError, beyond LARGEST or the limits of commands (joints/limits.py), and ValueError for an
-    unknown body or joint, NaN or a matrix that is not a rotation. The state is then unchanged.
+    BeyondLimits, a ValueError, beyond LARGEST_NUMBER or the limits of commands (joints/limits.py), and ValueError for
+    an unknown body or joint, NaN or a matrix that is not a rotation. The state is then unchanged.
     """
     poses = mapping("poses must be {body: pose}", poses)
     twists = mapping("twists must be {body: twist}", twists)
@@ -49,11 +48,11 @@ def place(engine, poses=None, twists=None, joints=None) -> None:
     com = engine.layout.offsets.com
     centred_poses, centred_twists = {}, {}
     for body, given in poses.items():
-        pose = _usable(f"expected a finite pose (4, 4) of {body}", given, (4, 4))
+        pose = usable(f"expected a finite pose (4, 4) of {body}", given, (4, 4))
         position = pose[:3, 3] + pose[:3, :3] @ com[index[body]]
         centred_poses[body] = np.concatenate([pose[:3, :3].ravel(), position])
     for body, given in twists.items():
-        twist = _usable(f"expected a finite twist (6,) of {body}", given, (6,))
+        twist = usable(f"expected a finite twist (6,) of {body}", given, (6,))
         twist[3:] += np.cross(twist[:3], com[index[body]])
         centred_twists[body] = twist
     known = [joint.name for joint in engine.scene.joints if joint.type in COUPLED]
@@ -65,7 +64,7 @@ def place(engine, poses=None, twists=None, joints=None) -> None:
             and all(value is None or is_finite(value) for value in values)
         ):
             raise ValueError(f"{joint} must be (position, velocity), both finite or None, {got(values)}")
-        _usable(joint, [value or 0.0 for value in values], (2,))
+        usable(joint, [value or 0.0 for value in values], (2,))
     if engine.now.offset:
         engine.advance(1)
     counted = [joint for joint, _ in engine.scene.unwrapped]
@@ -84,14 +83,6 @@ def place(engine, poses=None, twists=None, joints=None) -> None:
     engine.inputs.commands = _motions_after(engine, commanded, before, joints)
     engine.inputs.log, engine.events.pending = applied, events  # the run goes on
     engine.inputs.update(engine.now)
-
-
-def _usable(what, given, shape):
-    """`finite` numbers up to LARGEST. Raises ValueError, and BeyondLimits for a larger one."""
-    numbers = finite(what, given, shape)
-    if np.abs(numbers).max() > LARGEST:
-        raise BeyondLimits(f"{what}: {np.abs(numbers).max():g} is too large, the limit is {LARGEST:g}")
-    return numbers
 
 
 def _keep_turns(engine, before, joints):

@@ -106,6 +106,8 @@ _TABLE = (
         1e-3,
         "step size of the method; with an accuracy, interval of checks and of single steps",
         "s",
+        1e-9,  # the resolution of times
+        1e6,
         means="0.001, with an accuracy at most 0.01 and a fiftieth of the horizon",
     ),
     Setting(

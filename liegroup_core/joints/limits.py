@@ -9,6 +9,11 @@ Without a velocity limit, SPEED applies, so that every permitted motion can be i
 import math
 from typing import NamedTuple
 
+import numpy as np
+
+from liegroup_core.fields.arguments import finite, got, is_finite
+from liegroup_core.fields.values import LARGEST_NUMBER
+
 from .coupling import turns
 from .motion import extremes, peak_rate
 
@@ -18,6 +23,21 @@ ROUNDING = 1e-9  # relative tolerance, because limits are printed with fewer dig
 
 class BeyondLimits(ValueError):
     """A command that is beyond the limits of its joint; one line of text."""
+
+
+def usable(what, given, shape):
+    """`finite` numbers up to LARGEST_NUMBER. Raises ValueError, and BeyondLimits for a larger one."""
+    numbers = finite(what, given, shape)
+    if (largest := np.abs(numbers).max(initial=0.0)) > LARGEST_NUMBER:
+        raise BeyondLimits(f"{what}: {largest:g} is too large, the limit is {LARGEST_NUMBER:g}")
+    return numbers
+
+
+def check_number(what, value):
+    """Raise the errors of `usable` for what is not one usable number."""
+    if not is_finite(value):
+        raise ValueError(f"{what}, {got(value)}")
+    usable(what, value, ())
 
 
 class CommandLimits(NamedTuple):

@@ -49,6 +49,29 @@ def test_numbers_that_are_no_floats_are_refused(top, number):
     refuses(lambda: top.set_state(np.eye(4).tolist(), [[number] * 6]), "expected a twist")
 
 
+@pytest.mark.parametrize("number", [1.01e100, -1e308])
+def test_one_bound_holds_for_all_commands(top, arm, number):
+    """1e100, that of the numbers of a scene, and of messages to a node."""
+    joint, pose = next(iter(arm.layout.motions)), np.eye(4)
+    pose[0, 3] = number
+    before = top.snapshot(), arm.snapshot()
+    for call in (
+        lambda: top.apply_wrench("top", [number] * 6),
+        lambda: top.apply_wrench("top", [0.0] * 6, point=[0, number, 0]),
+        lambda: top.place({"top": pose}),
+        lambda: top.place({}, {"top": [0.0] * 5 + [number]}),
+        lambda: arm.apply_effort(joint, number),
+        lambda: arm.place(joints={joint: (number, None)}),
+        lambda: arm.place(joints={joint: (None, number)}),
+        lambda: arm.command_motion(joint, [1.0], [number]),
+        lambda: arm.command_motion(joint, [1.0], None, [number]),
+        lambda: arm.command_motion(joint, [1.0], [0.0], [0.0], [number]),
+        lambda: arm.check_motion(joint, [abs(number)], [0.0]),
+    ):
+        refuses(call, "is too large, the limit is 1e\\+100")
+    assert (top.snapshot(), arm.snapshot()) == before
+
+
 def test_numbers_of_joints_that_are_no_floats_are_refused(arm):
     joint = next(iter(arm.layout.motions))
     refuses(lambda: arm.place(joints={joint: (HUGE, None)}), "both finite or None")

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from liegroup_core import SceneError, Simulation, SimulationError, engine, load_scene
+from liegroup_core.forces.commands import WRENCH, Command
 from liegroup_core.scene import Body
 from liegroup_core.status import NOT_FINITE, ROTATION_TOO_LARGE
 
@@ -64,7 +65,7 @@ def test_too_large_steps_stop_with_the_last_valid_state():
 
 def test_overflow_stops_with_the_last_valid_state():
     simulation = Simulation(load_scene("free_body"), method="rkmk4", step=1.0)
-    simulation.apply_wrench("body", (0, 0, 0, 1e308, 0, 0))
+    Command(WRENCH, "body", (0, 0, 0, 1e308, 0, 0), 0).repeat(simulation)  # as a recorded one, without checks
     with pytest.raises(SimulationError) as failure:
         simulation.advance(1000)
     assert failure.value.status == NOT_FINITE
@@ -97,9 +98,10 @@ def test_a_stretched_immobile_linkage_is_refused(slack):
     [
         ({"method": "rk9"}, "unknown method 'rk9'; choose one of: rkmk1, "),
         ({"group": "so3"}, "unknown group 'so3'; choose one of: auto, se3, so3xr3"),
-        ({"step": 0.0}, "positive"),
-        ({"step": float("nan")}, "positive"),
-        ({"step": "1"}, "step must be a positive number of seconds, got '1'"),
+        ({"step": 0.0}, "step must be a number from 1e-09 to 1e\\+06 s, got 0.0"),
+        ({"step": 1e-300, "method": "rkmk4"}, "step must be a number from 1e-09 to 1e\\+06 s, got 1e-300"),
+        ({"step": float("nan")}, "step must be"),
+        ({"step": "1"}, "step must be a number from 1e-09 to 1e\\+06 s, got '1'"),
     ],
 )
 def test_wrong_options_are_refused_with_a_remedy(setting, text):
@@ -115,6 +117,21 @@ def test_a_step_count_that_is_not_an_integer_is_refused(steps):
     assert simulation.steps == 0
     simulation.advance(np.int64(2))
     assert simulation.steps == 2
+
+
+@pytest.mark.parametrize("settings", [{}, {"method": "rkmk54"}])
+def test_a_run_beyond_the_largest_count_of_steps_is_refused(settings):
+    """2^62 - 1 steps of the least step, 1 ns, last 4.6e9 s: less than the latest time, 9.2e9 s."""
+    simulation = Simulation(load_scene("free_body"), step=1e-9, **settings)
+    for advance in (lambda: simulation.advance(10**30), lambda: simulation.advance_to(4.7e9)):
+        with pytest.raises(ValueError, match="a run has 4611686018427387903 steps at most: take a larger step"):
+            advance()
+        assert simulation.steps == 0
+    simulation = Simulation(load_scene("free_body"), "rkmk4", 1e-9)
+    simulation.set_state(*simulation.state(), (1 << 62) - 2)
+    simulation.advance(1)
+    with pytest.raises(ValueError, match="take a larger step than 1e-09 s"):
+        simulation.advance(1)
 
 
 @pytest.mark.parametrize("times", [{"start": np.inf}, {"start": np.nan}, {"duration": np.inf}])

@@ -63,12 +63,12 @@ def test_the_later_of_two_commands_for_one_step_applies():
     assert totals(schedule, 2)[1, 0] == 5
 
 
-@pytest.mark.parametrize("h", [1e-3, 1.0 / 3000.0, 0.7, 1e-10])
+@pytest.mark.parametrize("h", [1e-3, 1.0 / 3000.0, 0.7, 1e-9])
 def test_an_instant_is_a_step_boundary_or_whole_nanoseconds(h):
     grid = StepGrid(h)
     for step in (0, 1, 7, 10**6 + 1):
         start = grid.boundary(step)
-        assert grid.instant(round(start.time * 1e9) * 1e-9).step == step or h < 1e-9
+        assert grid.instant(round(start.time * 1e9) * 1e-9).step == step
         assert grid.instant(step * h) == (step, 0, step * h)
     assert grid.instant(1e300).step == NEVER
     inside = grid.instant(5.4321e-5)
@@ -191,7 +191,7 @@ def test_a_snapshot_and_an_accuracy_keep_forces_at_points():
     [
         (PUSH, (1, 2), "world", "three finite numbers, got"),
         (PUSH, (1, 2, np.nan), "body", "three finite numbers"),
-        ((0, 0, 0, 1e200, 0, 0), (1e200, 0, 0), "world", "point times force"),
+        ((0, 0, 0, 1e60, 0, 0), (1e60, 0, 0), "world", "point times force .* 1e\\+120 is too large"),
         (PUSH, (1, 2, 3), "world_x", "axes must be"),
     ],
 )
