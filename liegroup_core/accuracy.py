@@ -54,8 +54,8 @@ class AccuracyControl:
 
     given    : accuracy at the start
     accuracy : present one, see `change`
-    ended    : s, the last checkpoint before the estimate exceeded the error bound; inf: never
-    found    : at the checkpoint where it did: "time", "error" and "wanted", "tenfold": time in s in
+    ended    : s, the last checkpoint or change of the accuracy before the estimate exceeded the error bound; inf: never
+    found    : where it did: "time", "error" and "wanted", "tenfold": time in s in
                which errors grow tenfold, 0 if they do not grow exponentially, "room": mean of the
                tolerances so far, as a multiple of the least one, and "finer": whether smaller tolerances help
     """
@@ -100,25 +100,37 @@ class AccuracyControl:
 
     def change(self, accuracy, time, error):
         """Continue with another accuracy; the estimated error at a time in s may exceed that, too."""
+        self._pass(time)
         tolerance = self._tolerance * accuracy / self.accuracy
         self.accuracy = accuracy
         if not error > self.wanted(time):
             self.ended = math.inf
+        elif self.ended == math.inf:
+            self._end(time, time, error)
         self.tolerance = tolerance
+
+    def _pass(self, time):
+        """Add the steps up to a time in s, of the present tolerance; returns when the last ones ended."""
+        before, self._last = self._last, time
+        span = time - before
+        self._double_sum += (self._sum + 0.5 * self._tolerance * span) * span
+        self._sum += self._tolerance * span
+        return before
+
+    def _end(self, before, time, error):
+        """Note an estimate at a time in s that exceeds the error bound, and did not before."""
+        self.ended, room = before, self._sum / (time - self._begin) / LEAST_TOLERANCE
+        tenfold = self._tenfold(time, time - before)
+        self.found = dict(zip(_FOUND, (time, error, self.wanted(time), tenfold, room, float(self._early > SEEDED))))
 
     def update(self, time, error, predictable):
         """Set the tolerance from the estimated error at a checkpoint."""
-        span, since = time - self._last, time - self._begin
-        wanted, before = self.wanted(time), self._last
-        self._last = time
-        self._double_sum += (self._sum + 0.5 * self._tolerance * span) * span
-        self._sum += self._tolerance * span
+        since, wanted = time - self._begin, self.wanted(time)
+        before = self._pass(time)
         if error <= wanted * 10.0**-DECADES:
             self._early = error / self._double_sum
         if not error <= wanted and self.ended == math.inf:
-            self.ended, room = before, self._sum / since / LEAST_TOLERANCE
-            tenfold = self._tenfold(time, span)
-            self.found = dict(zip(_FOUND, (time, error, wanted, tenfold, room, float(self._early > SEEDED))))
+            self._end(before, time, error)
         self._below = [time if error <= wanted * 10.0**-k else below for k, below in enumerate(self._below, 1)]
         if not predictable:
             self.tolerance = self._first

@@ -149,7 +149,7 @@ class Simulation(Engine):
         self.settle()  # tolerances change at this time, however far the two have come
         self._running.meet()
         self._control.change(accuracy, self.time, self.largest_error)
-        self._warned = self.accurate_until <= self.time
+        self._warned &= self.accurate_until <= self.time
 
     @property
     def doubt(self) -> str | None:
@@ -164,16 +164,21 @@ class Simulation(Engine):
         if not self.accurate_until < math.inf:
             return None
         found, reason = self._control.found, self.inaccurate_because
-        what = f", above the accuracy of {found['wanted']:.2g}{reason and f': {reason}'}"
+        what = f", above the accuracy of {self.exceeded:.2g}{reason and f': {reason}'}"
         return self._text(found["time"], found["error"], what)
 
     @property
     def accurate_until(self) -> float:
-        """Last simulated time in s before the estimated error exceeded the accuracy; inf if never.
+        """Last simulated time in s at which the estimated error did not exceed the accuracy then; inf: always.
 
         NaN with a method.
         """
         return math.nan if self._control is None else self._control.ended
+
+    @property
+    def exceeded(self):
+        """The accuracy that the estimated error exceeded first, grown with the horizons; NaN if none."""
+        return math.nan if self._control is None else self._control.found["wanted"]
 
     @property
     def inaccurate_because(self) -> str:

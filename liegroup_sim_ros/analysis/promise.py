@@ -9,6 +9,8 @@ of a recording are not checked, because the guarantee refers to the start of the
 recorded state.
 """
 
+from itertools import pairwise
+
 import numpy as np
 
 from liegroup_sim_ros.numbers import counted
@@ -65,8 +67,8 @@ class Promise:
         error, known = error[inside], known[inside]
         self._changes[stretch.begin_ns] = [
             (stretch.base_ns * 1e-9 + since, value)
-            for since, value in periods(self._promise, stretch)[1:]
-            if since < stretch.inaccurate_from - 0.5 * stretch.step
+            for (_, before), (since, value) in pairwise(periods(self._promise, stretch))
+            if since < end and (value < before or since < end - stretch.step)  # there a coarser one was not requested
         ]
         self._inside = max(self._inside, float(error.max()))
         self._known = max(self._known, float(known.max()))

@@ -75,13 +75,14 @@ def _percent(share):
     return f"{100.0 * share:.0f} %"
 
 
-def inaccurate(since, reason):
+def inaccurate(since, accuracy, reason):
     """The estimated error exceeds the accuracy.
 
-    since  : s, the last time within the accuracy
-    reason : Simulation.inaccurate_because
+    since    : s, Simulation.accurate_until
+    accuracy : Simulation.exceeded
+    reason   : Simulation.inaccurate_because
     """
-    text = f"{since:.9g} s is the last time with an estimated error within the accuracy"
+    text = f"{since:.9g} s is the last time before the estimated error exceeds the accuracy of {accuracy:.2g}"
     return f"{text}: {reason}" if reason else text
 
 
@@ -110,7 +111,7 @@ def reports(simulation):
     """[(name, text)] of the events about the error estimate of a Simulation up to its present time."""
     found, time = [], simulation.time
     if (since := simulation.accurate_until) <= time:
-        found.append(("inaccurate", inaccurate(since, simulation.inaccurate_because)))
+        found.append(("inaccurate", inaccurate(since, simulation.exceeded, simulation.inaccurate_because)))
     if (since := simulation.predictable_until) <= time:
         found.append(("unpredictable", unpredictable(since)))
     return found

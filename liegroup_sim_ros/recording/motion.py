@@ -326,7 +326,7 @@ class RecordedMotion:
 
     def _accuracies(self, begin, base, end, step):
         """Changes of the accuracy, and the first time in s at which it was not kept, or changed without a request."""
-        changes, ended = [], np.inf
+        changes, ended, changed = [], np.inf, -np.inf
         for event in self._recording.events:
             if not begin <= event.stamp_ns < end:
                 continue
@@ -341,8 +341,8 @@ class RecordedMotion:
                 ) from None
             if event.name == "accuracy":
                 changes.append((round(since / step), number))
-                number = np.inf if events.is_requested(event.text) else since
-            ended = min(ended, number)
+                number, changed = np.inf if events.is_requested(event.text) else since, since
+            ended = min(ended, max(number, changed))  # earlier versions gave a time before the change
         return changes, ended
 
     def blocks(self, angles=None):

@@ -112,7 +112,7 @@ def test_a_node_says_when_its_motion_cannot_be_known_any_more(client, tmp_path):
     assert re.search(said, errors), errors
     recording = repeats(path)
     told = {event.name: event for event in recording.events}
-    assert "the last time with an estimated error within the accuracy" in told["inaccurate"].text
+    assert "the last time before the estimated error exceeds the accuracy of 0.0001" in told["inaccurate"].text
     assert "too large for the motion to be known" in told["unpredictable"].text
     simulation = Simulation(load_scene("double_pendulum"), step=0.01)
     while simulation.predictable_until > simulation.time:
@@ -401,7 +401,7 @@ def test_a_run_reports_that_its_error_exceeds_the_accuracy(tmp_path):
     recording = repeats(log)
     _, event, later, _ = recording.events
     assert (event.name, later.name) == ("inaccurate", "unpredictable")
-    assert re.search(r"within the accuracy: errors grow tenfold in about [23]\.\d s: with", event.text)
+    assert re.search(r"exceeds the accuracy of 0.0001: errors grow tenfold in about [23]\.\d s: with", event.text)
     simulation = Simulation(load_scene("double_pendulum"), step=0.01)
     simulation.advance(3000)
     since = simulation.accurate_until
@@ -443,6 +443,25 @@ def test_each_period_is_judged_by_its_accuracy(tmp_path, first, text, kept, seco
         later = float(text.split()[0])
         for x, y in zip(lines["accuracy"]["x"], lines["accuracy"]["y"], strict=True):
             assert y == (first if x <= asked + 1e-9 else later), x
+
+
+@pytest.mark.parametrize("since", [0.25, 0.3])
+@pytest.mark.turn(3)
+def test_a_finer_accuracy_is_not_judged_before_it_was_requested(tmp_path, since):
+    """Also where the event gives the last checkpoint before the change, as those of earlier versions do."""
+    promise = {"accuracy": 1e-2, "horizon": 60.0, "length": 0.5}
+    log = record(tmp_path / "a.mcap", load_scene("heavy_top"), 60, step=1e-2, per_sample=1, promise=promise)
+    recording = read_recording(log)
+    start, *others = recording.events
+    change = start._replace(name="accuracy", text=events_of_runs.accuracy_requested(1e-6, 0.3), stamp_ns=300_000_000)
+    told = start._replace(name="inaccurate", text=events_of_runs.inaccurate(since, 1e-6, ""), stamp_ns=310_000_000)
+    figures = analyse(dataclasses.replace(recording, events=[start, change, told, *others])).figures
+    found = figures["promise"]
+    assert (found["kept"], found["beyond"]) == (True, True) and found["seconds"] == pytest.approx(0.3)
+    assert found["changes"] == [{"from_s": pytest.approx(0.3), "accuracy": 1e-6}]
+    said = "the accuracy of 0.01 in 60 s (1e-06 from 0.3 s on, as requested) is kept in the first 0.3 s"
+    assert said in figures["verdict"] and "Then the run itself reports" in figures["verdict"]
+    assert "the last time before the estimated error exceeds the accuracy of 1e-06" in figures["warnings"][0]
 
 
 @pytest.mark.parametrize("push, kept, seconds", [(None, False, 0.6), (25, False, 0.6), (0, False, 0.6)])

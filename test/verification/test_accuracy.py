@@ -260,6 +260,25 @@ def test_only_exponential_growth_is_called_so(estimate, said):
     assert control.reason.startswith(said) and bool(control.reason) == bool(said)
 
 
+def test_a_finer_accuracy_is_exceeded_from_its_change_on_at_the_earliest():
+    """Until then the coarser one was kept; the later checkpoints are 0.1 s apart."""
+    simulation = Simulation(load_scene("double_pendulum"), quiet=True)
+    simulation.advance_to(1.234)
+    assert 1e-12 < simulation.largest_error < 1e-4 and simulation.accurate_until == math.inf
+    simulation.set_accuracy(1e-12)
+    since, said = simulation.time, simulation.doubt
+    assert simulation.accurate_until == since and said.endswith("above the accuracy of 1e-12")
+    simulation.advance(50)
+    assert (simulation.accurate_until, simulation.doubt) == (since, said)
+    control = AccuracyControl(1e-4, 60.0, lambda part: None)
+    for k in range(1, 11):
+        control.update(0.1 * k, 1e-9, True)
+    control.change(2e-9, 1.05, 1e-9)
+    assert control.ended == math.inf
+    control.update(1.1, 3e-9, True)
+    assert control.ended == 1.05
+
+
 def test_another_accuracy_counts_anew_only_while_the_error_allows_it():
     simulation = Simulation(load_scene("double_pendulum"), accuracy=1e-10)
     while simulation.accurate_until == math.inf:
