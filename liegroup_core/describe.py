@@ -6,7 +6,7 @@ JSON types, computed without taking a step; independent of the machine.
 
 import numpy as np
 
-from liegroup_core.joints.elements import PAIR, WORLD
+from liegroup_core.joints.elements import WORLD
 from liegroup_core.mechanism.body_model import initial_state
 from liegroup_core.mechanism.mechanism import tree_of
 from liegroup_core.mechanism.symmetry import body_groups, conserved_momentum
@@ -54,9 +54,7 @@ def describe(layout):
         methods             names of the integration methods that can integrate the scene
         groups              [[body]]: bodies that joints or forces connect, not counting the world
         couplings           [{name, joint, other, ratio, curve, terms, offset}]; offset in rad or m
-        kept_momentum       [{bodies, components}] of the conserved momentum, as text; None: not
-                            determined, because a joint is not a lower pair, or because of couplings,
-                            driven joints, stops or friction
+        kept_momentum       [{bodies, components}] of the momentum that all motions conserve, as text
     Raises SceneError.
     """
     scene, model = layout.scene, layout.model
@@ -64,7 +62,6 @@ def describe(layout):
     rows = {joint.name: [] for joint in scene.joints}
     for owner, names in zip(layout.owners, layout.row_names):
         rows[scene.joints[owner].name] += names
-    only_pairs = bool((model.elements["kind"] == PAIR).all())
     return {
         "scene": scene.name,
         "description": scene.description,
@@ -121,9 +118,7 @@ def describe(layout):
         "groups": [[scene.bodies[i].name for i in group] for group in body_groups(scene)],
         "kept_momentum": [
             {"bodies": list(kept.bodies), "components": list(kept.labels)} for kept in conserved_momentum(scene)
-        ]
-        if only_pairs and not scene.couplings and not layout.motions and not layout.switches
-        else None,
+        ],
     }
 
 

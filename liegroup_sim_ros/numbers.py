@@ -4,6 +4,7 @@
 import math
 
 UNSURE = 0.1  # relative uncertainty from which on it is shown with an error
+NO_MOMENTUM = "no component is found that every motion conserves"
 NO_NUMBER = ("not a number", "infinite")
 GROUPS = {"se3": "SE(3)", "so3xr3": "SO(3) x R^3", "relative": "the joints' groups"}
 

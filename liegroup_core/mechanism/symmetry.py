@@ -2,15 +2,18 @@
 """Conserved components of the spatial momentum of a scene, and their values along a motion.
 
 A group consists of bodies that are connected by joints and forces, not counting the world. Inside
-a group forces come in pairs, and joints do no work on a common rigid motion of its bodies. So
+a group forces come in pairs, and joints do no work on a common rigid motion of its bodies, nor do their
+stops, friction, motors, drives, rotors and couplings. So
 along a screw (xi, eta) about the world origin, the rate of the group's momentum is the power of
 the world's wrench W on that screw:
 
     d/dt (xi . L + eta . P) = W . (xi, eta),     W = joints to the world + gravity + springs to it
 
 The component is conserved in every motion if the right-hand side vanishes at all poses. A joint to
-the world transmits wrenches in its forbidden directions A. All other forces are evaluated at
-generic poses of the mechanism. The conserved screws are the null space of these wrenches. Examples:
+the world transmits wrenches in its forbidden directions A. A cable, strut or rod to it transmits a force through
+its end there. All wrenches are assumed of other joints to it that are no lower pairs, or have a stop, friction, a
+drive, a rotor or a coupling. All other forces are evaluated at generic poses of the mechanism. The conserved screws
+are the null space of these wrenches. Examples:
   free in space               angular momentum in 3 directions, linear momentum in 3
   free in gravity             angular momentum about its own centre of mass in 3, linear in the 2
                               directions across gravity
@@ -22,8 +25,7 @@ generic poses of the mechanism. The conserved screws are the null space of these
   the same, with a rest length or with the spring elsewhere on the body: none, unless p0 is above
                               or below o
 Generic poses of closed loops ignore the closing joint; this never adds a component. Components
-that only particular motions conserve (a plane pendulum) are not found, nor are those of a scene
-with a joint that is not a lower pair, is driven or has stops or friction, or with a coupling.
+that only particular motions conserve (a plane pendulum) are not found.
 """
 
 from dataclasses import dataclass
@@ -32,6 +34,8 @@ import numpy as np
 import scipy
 
 from liegroup_core.forces import gravity, kinds
+from liegroup_core.joints.cable import CableJoint
+from liegroup_core.joints.distance import DistanceJoint
 from liegroup_core.joints.elements import PAIR
 from liegroup_core.lie.groups import SE3
 from liegroup_core.scene.assembly import ready
@@ -80,13 +84,9 @@ def conserved_momentum(scene):
     Verified along independent integrations, with counterexamples: test/core/test_symmetry.py.
     """
     _, scene = ready(scene)
-    if scene.couplings or any(joint.driven or joint.switches or joint.rotor for joint in scene.joints):
-        return ()
     model, *_ = build_model(scene)
     frames = resolve_frames(scene)
-    forbidden = _forbidden(scene)
-    if forbidden is None:
-        return ()
+    forbidden, transmitted = _rows(scene)
     rng = np.random.default_rng(6)
     size = _size(scene, frames)
     drawn = [_generic_pose(scene, frames, forbidden, size, rng) for _ in range(POSES)]
@@ -96,7 +96,7 @@ def conserved_momentum(scene):
         acting = _without_round_off(wrenches[:, group])
         mass = np.array([scene.bodies[i].mass for i in group])
         centre = np.array([mass @ pose[group, 9:] for pose in drawn]) / mass.sum()
-        reactions = _reactions(scene, frames, forbidden, group)
+        reactions = _reactions(scene, frames, transmitted, group)
         names = tuple(scene.bodies[i].name for i in group)
         kept += [
             KeptMomentum(names, *found)
@@ -204,23 +204,30 @@ def _without_round_off(wrenches):
     return total
 
 
-def _reactions(scene, frames, forbidden, group):
+def _reactions(scene, frames, transmitted, group):
     """Rows of wrenches about the world origin that joints to the world can exert on a group."""
     names = {scene.bodies[i].name for i in group}
     rows = [np.zeros((0, 6))]
-    for joint, (F_a, _), A in zip(scene.joints, frames, forbidden):
+    for joint, (F_a, _), A in zip(scene.joints, frames, transmitted):
         if joint.parent == WORLD and joint.child in names:
             # The power on a world screw equals that on the same screw in the joint frame.
             rows.append(A @ SE3.Ad(SE3.inverse(F_a)))
     return np.vstack(rows)
 
 
-def _forbidden(scene):
-    """A (k, 6) of every joint; None if the rows of one depend on the pose."""
-    parts = resolve_elements(scene)
-    if any(part.kind != PAIR for elements in parts for part in elements):
-        return None
-    return [elements[0].forbidden for elements in parts]
+def _rows(scene):
+    """A (k, 6) of every joint, 0 if it is not a lower pair; and the wrenches (k, 6) that it transmits, as its rows."""
+    coupled = {name for coupling in scene.couplings for name in (coupling.joint, *coupling.others)}
+    forbidden, transmitted = [], []
+    for joint, elements in zip(scene.joints, resolve_elements(scene)):
+        is_pair = len(elements) == 1 and elements[0].kind == PAIR
+        forbidden.append(elements[0].forbidden if is_pair else np.zeros((1, 6)))
+        bears = joint.driven or joint.switches or joint.rotor or joint.name in coupled
+        if isinstance(joint, (CableJoint, DistanceJoint)):
+            transmitted.append(np.eye(6)[3:])
+        else:
+            transmitted.append(elements[0].forbidden if is_pair and not bears else np.eye(6))
+    return forbidden, transmitted
 
 
 def _generic_pose(scene, frames, forbidden, size, rng):

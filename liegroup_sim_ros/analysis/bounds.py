@@ -31,7 +31,7 @@ def find_exceeded(found, max_error=None, max_drift=None):
         if max_drift is not None:
             drifts = _relative_drifts(figures)
             if not drifts:
-                exceeded.append(f"{log}: there is no drift to check: neither energy nor momentum is conserved")
+                exceeded.append(f"{log}: there is no drift to check: no conserved energy or momentum is found")
             exceeded += [
                 f"{log}: relative drift {drift:.3g} of {name} exceeds {max_drift:g}"
                 for name, drift in drifts

@@ -16,7 +16,7 @@ from liegroup_core.describe import describe
 from liegroup_core.engine import Engine
 from liegroup_core.layout import make_layout
 from liegroup_core.methods import table as registered
-from liegroup_sim_ros.numbers import counted
+from liegroup_sim_ros.numbers import NO_MOMENTUM, counted
 from liegroup_sim_ros.report.terminal import section
 
 from .robot_options import add_robot_options, robot_scene
@@ -269,16 +269,6 @@ def _freedom_rows(facts):
     ]
 
 
-def _not_searched(facts):
-    """Reason why conserved momentum was not searched."""
-    if facts["couplings"]:
-        return "couplings"
-    driven = any(joint["driven"] for joint in facts["joints"])
-    if any(joint["switches"] for joint in facts["joints"]):
-        return "stops or friction"
-    return "driven joints" if driven else "a joint is not a lower pair"
-
-
 def _solve_rows(solve):
     if not solve["rows"]:
         return []
@@ -295,14 +285,12 @@ def _solve_rows(solve):
 
 def _conserved_rows(facts):
     rows = [("groups of bodies", str(len(facts["groups"])), "; ".join(_listed(group) for group in facts["groups"][:6]))]
-    if facts["kept_momentum"] is None:
-        return rows + [("momentum", "not searched", _not_searched(facts))]
     rows += [
         ("momentum", component, _listed(conserved["bodies"]))
         for conserved in facts["kept_momentum"]
         for component in conserved["components"]
     ]
-    return rows if facts["kept_momentum"] else rows + [("momentum", "none", "")]
+    return rows if facts["kept_momentum"] else rows + [("momentum", "-", NO_MOMENTUM)]
 
 
 def _listed(names):

@@ -3,7 +3,7 @@
 
 from liegroup_sim_ros.analysis.estimate import error_of
 from liegroup_sim_ros.analysis.timing import is_paced, requested_text
-from liegroup_sim_ros.numbers import GROUPS, counted, error_text, shown
+from liegroup_sim_ros.numbers import GROUPS, NO_MOMENTUM, counted, error_text, shown
 
 MOST_JOINTS = 8  # number of joints in the table; the JSON document has all
 # {part of an error in the analysis: name in tables}
@@ -236,7 +236,7 @@ def _conserved_rows(figures):
             )
         )
     if not figures["momentum"]:
-        rows.append(("momentum", "-", "no component is conserved in this scene"))
+        rows.append(("momentum", "-", NO_MOMENTUM))
     joints = sorted(figures["joints"].items(), key=lambda item: -item[1]["largest"])
     for name, entry in joints[:MOST_JOINTS]:
         rows.append(

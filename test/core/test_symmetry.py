@@ -8,11 +8,12 @@ Checked along integrations of `liegroup_core.reference`, which does not use symm
 import numpy as np
 import pytest
 
-from liegroup_core import load_scene
+from liegroup_core import Simulation, load_scene
 from liegroup_core.mechanism.body_model import initial_state
 from liegroup_core.mechanism.symmetry import conserved_momentum, momentum_values
 from liegroup_core.reference import integrate
 from liegroup_core.scene.description import Body, Frame, Joint, Scene, SpringDamper
+from liegroup_core.scene.load import scene_from_text
 
 G = (0.0, 0.0, -9.81)
 KEPT = 1e-9  # 1e-11 of values of size 10 to 100
@@ -198,6 +199,75 @@ def test_no_other_component_is_conserved(name):
     assert (values > SPOILT).sum() == 6 - count
 
 
+MOVING = "linear_velocity: [0.3, 0.2, 0], angular_velocity: [0, 0, 0.4]}"
+FREE = (None, np.eye(3), np.eye(3)[:2])
+WHEEL = "{name: w, mass: 1, inertia: [0.02, 0.02, 0.03], position: [0.2, 0, 0]}"
+ROPE = "parent: world, child: base, parent_frame: {position: [0, 0, 1]}, child_frame: {}"
+RAIL = "{name: rail, type: prismatic, parent: world, child: base, parent_frame: {axis: [1, 0, 0]}}"
+AXLE = "parent: world, child: base, parent_frame: {}"
+HINGE = "parent: base, child: w, parent_frame: {position: [0.1, 0, 0]}"
+PLANE = "parent: base, child: w, parent_frame: {position: [0.1, 0, -0.05]}"
+# name: (joints of `base` and `w`, further text, expected as in CASES)
+BETWEEN = {
+    "stops": (f"{{name: h, type: revolute, {HINGE}, rate: 2, limits: {{lower: -0.2, upper: 0.2}}}}", "", [FREE]),
+    "friction": (f"{{name: h, type: revolute, {HINGE}, rate: 2, friction: {{coulomb: 0.03}}}}", "", [FREE]),
+    "rotor": (f"{{name: h, type: revolute, {HINGE}, rate: 2, rotor: {{inertia: 0.1}}}}", "", [FREE]),
+    "drive": (f"{{name: h, type: revolute, {HINGE}, rate: 2, driven: true}}", "", [FREE]),
+    "universal joint": (f"{{name: h, type: universal, {HINGE}}}", "", [FREE]),
+    "cable": (f"{{name: h, type: cable, {HINGE}, child_frame: {{}}, length: 0.2}}", "", [FREE]),
+    "rod": (f"{{name: h, type: distance, {HINGE}, child_frame: {{}}}}", "", [FREE]),
+    "wheel": (f"{{name: h, type: ball_on_plane, {PLANE}, child_frame: {{}}, radius: 0.05}}", "", [FREE]),
+    "coupling": (
+        f"{{name: h, type: revolute, {HINGE}, rate: 2}}, "
+        "{name: g, type: revolute, parent: base, child: v, parent_frame: {position: [-0.2, 0, 0]}}",
+        "couplings: [{name: c, joint: g, other: h, ratio: -2}]",
+        [FREE],
+    ),
+    "crane": (
+        f"{RAIL}, {{name: h, type: cable, {HINGE}, child_frame: {{}}, length: 0.2}}",
+        "",
+        [((0, 0, 0), [], [(1, 0, 0)])],
+    ),
+    "cable to the ground": (f"{{name: r, type: cable, {ROPE}, length: 1}}", "", [((0, 0, 1), [(0, 0, 1)], [])]),
+    "rod to the ground": (f"{{name: r, type: distance, {ROPE}}}", "", [((0, 0, 1), [(0, 0, 1)], [])]),
+    "friction on the ground": (f"{{name: r, type: revolute, {AXLE}, friction: {{coulomb: 0.1}}}}", "", []),
+    "rotor on the ground": (
+        f"{{name: r, type: revolute, {AXLE}, rotor: {{inertia: 1}}}}, {{name: h, type: revolute, {HINGE}, rate: 2}}",
+        "",
+        [],
+    ),
+}
+
+
+@pytest.mark.parametrize("name", BETWEEN)
+def test_what_acts_between_bodies_conserves_their_momentum(name):
+    """By Newton's third law; on the ground the same element adds or removes angular momentum along its axis."""
+    joints, more, expected = BETWEEN[name]
+    bodies = ["{name: base, mass: 2, inertia: [0.03, 0.05, 0.04], position: [0, 0, 0], " + MOVING]
+    bodies += [WHEEL] * ("child: w" in joints) + [WHEEL.replace("name: w", "name: v")] * ("child: v" in joints)
+    text = f"bodies: [{', '.join(bodies)}]\njoints: [{joints}]\n{more}\n"
+    case = scene_from_text(f"name: case\ngravity: [0, 0, -9.81]\nassemble: true\n{text}")
+    kept = conserved_momentum(case)
+    assert len(kept) == len(expected)
+    simulation = Simulation(case, accuracy=1e-9, quiet=True)
+    samples = []
+    for time in np.linspace(0.0, 1.0, 21):
+        simulation.advance_to(time)
+        samples.append(simulation.sample())
+    pose, twist = np.array([s.pose_matrices for s in samples]), np.array([s.twist for s in samples])
+    for found, (point, angular, linear) in zip(kept, expected):
+        assert (found.point is None) == (point is None)
+        assert found.angular == pytest.approx(np.reshape(angular, (-1, 3)), abs=1e-9)
+        assert found.linear == pytest.approx(np.reshape(linear, (-1, 3)), abs=1e-9)
+        if len(angular) == 1:
+            assert found.point == pytest.approx(np.array(point), abs=1e-9)
+        values = momentum_values(case, found, pose[..., :3, :3], pose[..., :3, 3], twist)
+        assert np.abs(values - values[0]).max() <= KEPT
+    if not expected:
+        spin = np.array([s.spatial_momentum[2] for s in samples])
+        assert np.ptp(spin) > SPOILT
+
+
 def test_conserved_momentum_of_the_example_scenes():
     """Heavy top: along k p0 + m g = (1e4, 0, 4788.104) N about the pivot at the origin."""
     field = np.array([1e4, 0.0, 1e4 * 0.5 - 21.6 * 9.81])
@@ -215,8 +285,6 @@ def test_conserved_momentum_of_the_example_scenes():
 
 def test_values_agree_with_the_sample():
     """momentum_values against Sample.spatial_momentum, components and centre of mass apart."""
-    from liegroup_core import Simulation
-
     case, _ = CASES["free pair with spring and damper"]
     simulation = Simulation(case)
     simulation.advance(100)

@@ -13,7 +13,6 @@ from scipy.optimize import brentq
 from liegroup_core import Simulation
 from liegroup_core.engine import Engine
 from liegroup_core.joint_events import has_impacts
-from liegroup_core.mechanism.symmetry import conserved_momentum
 from liegroup_core.scene.load import scene_from_text
 
 pytestmark = pytest.mark.slow
@@ -436,11 +435,6 @@ def test_cables_in_parallel():
     loads = [np.linalg.norm(sample.reactions[rope["name"]][3:]) for rope in ropes]
     assert sum(loads) == pytest.approx(2.0 * G, abs=1e-11)
     assert set(sample.modes.values()) == {"upper"}
-
-
-def test_momentum_that_a_cable_does_not_keep():
-    """A scene of cables can be described and analysed: nothing is said of its momentum."""
-    assert conserved_momentum(bob([0, 0, -0.5], [0, 0, 0], {})) == ()
 
 
 @pytest.mark.parametrize(
