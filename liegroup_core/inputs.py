@@ -177,7 +177,7 @@ class Inputs:
                    None: the origin of the body frame
         A step in which a wrench starts or ends is split at that time, so that methods keep their
         order (test/verification/test_pushes.py).
-        Raises ValueError for an unknown body, a wrong shape, or a number that is not finite.
+        Raises ValueError for an unknown body, a wrong shape, or a number that is not finite or beyond 1e100.
         """
         if axes not in AXES:
             raise ValueError(f"axes must be 'body' or 'world', got {axes!r}")

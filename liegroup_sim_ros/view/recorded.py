@@ -8,6 +8,7 @@ import numpy as np
 from liegroup_core.layout import make_layout
 from liegroup_core.scene.load import scene_from_text
 from liegroup_sim_ros.analysis.acting import Acting, AlongStretches, sample_of
+from liegroup_sim_ros.analysis.promise import allowed
 from liegroup_sim_ros.analysis.reference import ReferenceError
 from liegroup_sim_ros.playback.branch import Branches
 from liegroup_sim_ros.recording.check import check_settings
@@ -16,7 +17,7 @@ from liegroup_sim_ros.recording.read import read_recording
 
 from .local import Local
 from .server import ViewError
-from .source import History, Source, Status, ViewFrame, allowed, settings_text
+from .source import History, Source, Status, ViewFrame, settings_text
 
 
 class Recorded(Source):
@@ -48,8 +49,8 @@ class Recorded(Source):
         sample = sample_of(self.layout, stretch, k)
         sample.errors = None if stretch.errors is None else stretch.errors[k]
         self._owners[time] = stretch
-        bound = promise and allowed(self.layout, promise["accuracy"], promise["horizon"], sample.time)
-        return ViewFrame(time, sample, bound)
+        wanted = promise and float(allowed(promise, stretch, stretch.times[k : k + 1])[0])
+        return ViewFrame(time, sample, wanted and (wanted * self.layout.size, wanted))
 
     def dressed(self, frame):
         """The ViewFrame with the wrenches and efforts that act."""

@@ -447,7 +447,7 @@ def test_each_period_is_judged_by_its_accuracy(tmp_path, first, text, kept, seco
 
 @pytest.mark.parametrize("since", [0.25, 0.3])
 @pytest.mark.turn(3)
-def test_a_finer_accuracy_is_not_judged_before_it_was_requested(tmp_path, since):
+def test_a_finer_accuracy_is_not_judged_before_it_was_requested(tmp_path, monkeypatch, since):
     """Also where the event gives the last checkpoint before the change, as those of earlier versions do."""
     promise = {"accuracy": 1e-2, "horizon": 60.0, "length": 0.5}
     log = record(tmp_path / "a.mcap", load_scene("heavy_top"), 60, step=1e-2, per_sample=1, promise=promise)
@@ -455,13 +455,19 @@ def test_a_finer_accuracy_is_not_judged_before_it_was_requested(tmp_path, since)
     start, *others = recording.events
     change = start._replace(name="accuracy", text=events_of_runs.accuracy_requested(1e-6, 0.3), stamp_ns=300_000_000)
     told = start._replace(name="inaccurate", text=events_of_runs.inaccurate(since, 1e-6, ""), stamp_ns=310_000_000)
-    figures = analyse(dataclasses.replace(recording, events=[start, change, told, *others])).figures
+    changed = dataclasses.replace(recording, events=[start, change, told, *others])
+    figures = analyse(changed).figures
     found = figures["promise"]
     assert (found["kept"], found["beyond"]) == (True, True) and found["seconds"] == pytest.approx(0.3)
     assert found["changes"] == [{"from_s": pytest.approx(0.3), "accuracy": 1e-6}]
     said = "the accuracy of 0.01 in 60 s (1e-06 from 0.3 s on, as requested) is kept in the first 0.3 s"
     assert said in figures["verdict"] and "Then the run itself reports" in figures["verdict"]
     assert "the last time before the estimated error exceeds the accuracy of 1e-06" in figures["warnings"][0]
+    recorded = pytest.importorskip("liegroup_sim_ros.view.recorded")
+    monkeypatch.setattr(recorded, "read_recording", lambda path: changed)
+    frames = recorded.Recorded(log).history.frames
+    assert {frame.bound[1] for frame in frames if frame.time <= 0.3 + 1e-9} == {1e-2}
+    assert {frame.bound[1] for frame in frames if frame.time > 0.3 + 1e-9} == {1e-6}
 
 
 @pytest.mark.parametrize("push, kept, seconds", [(None, False, 0.6), (25, False, 0.6), (0, False, 0.6)])
