@@ -457,7 +457,7 @@ def _left_out(robot, grouping, switches, outside):
             if visual.mesh and find_resource(visual.mesh, robot.file) is None:
                 robot.leave_out(MISSING_MESHES, f"{visual.mesh} of {name}")
     for what, names in robot.left_out.items():
-        notes.append(f"left out: {len(names)} {what} ({listed(names)})")
+        notes.append(f"left out: {what} ({listed(names)})")
     return notes
 
 

@@ -339,13 +339,17 @@ def _others(robot, model, names, lines):
     if model["fluid"]:
         robot.leave_out("forces of a fluid", "option density or viscosity", changes_motion=True)
     # A tendon that is imported as a joint has constant length, so its springs and limits do no work.
-    rods = {each["tendon"] for each in model["equalities"] if each["active"] and each.get("length")}
+    active = [each for each in model["equalities"] if each["active"]]
+    rods = {each["tendon"] for each in active if each.get("length")}
+    # Equalities that are couplings and actuators act through their tendons, also through those without own forces.
+    used = {tendon for each in (*active, *model["actuators"]) for tendon in each["tendons"]}
     for i, tendon in enumerate(model["tendons"]):
         acts = tendon["stiffness"] or tendon["damping"] or tendon["range"]
         if i in rods:
             continue
         if not acts and not tendon["other"]:
-            robot.leave_out("tendons", tendon["name"])
+            if i not in used:
+                robot.leave_out("tendons", tendon["name"])
             continue
         sites, terms = tendon["sites"] or (), _terms(tendon, [joint["label"] for joint in model["joints"]])
         if (sites or terms) and acts:

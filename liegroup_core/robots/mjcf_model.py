@@ -136,6 +136,7 @@ def _actuator(model, i):
     return {
         "name": model.actuator(i).name or f"actuator_{i}",
         "shares": shares,
+        "tendons": [tendon] if model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_TENDON else [],
         "linear": bool(
             gain_terms
             and bias in (biases.mjBIAS_NONE, biases.mjBIAS_AFFINE)
@@ -239,7 +240,9 @@ def _equality(model, i):
     kind = mujoco.mjtEq(int(model.eq_type[i])).name.removeprefix("mjEQ_").lower()
     first, second = int(model.eq_obj1id[i]), int(model.eq_obj2id[i])
     found = _of(model, "eq", i, "data", active="active0", first="obj1id", second="obj2id")
-    found |= {"name": model.equality(i).name or f"{kind}_{i}", "type": kind}
+    found |= {"name": model.equality(i).name or f"{kind}_{i}", "type": kind, "tendons": []}
+    if kind == "tendon":
+        found["tendons"] = [first, second]  # the second is -1 if there is none
     if kind in ("connect", "weld") and model.eq_objtype[i] == mujoco.mjtObj.mjOBJ_SITE:
         found["sites"] = [_site(model, site) for site in (first, second)]
     if kind == "tendon" and second < 0 and _ends(model, first):

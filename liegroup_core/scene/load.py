@@ -109,7 +109,7 @@ def _made(text, values, where, robot, source, complete):
     """Scene of a text with these values; where: Lines, or an object with its methods."""
     try:
         scene = Scene(**values)
-        doubts = list(_doubtful_angles(scene)) if complete else []
+        doubts = list(_doubtful_angles(scene, robot is not None)) if complete else []
         scene = assembled(scene) if complete else scene
         scene = scene.remade(notes=[*scene.notes, *doubts]) if doubts else scene
         scene._text, scene._source, scene._where, scene._robot = text, source, where, robot
@@ -120,17 +120,19 @@ def _made(text, values, where, robot, source, complete):
     return scene
 
 
-def _doubtful_angles(scene):
+def _doubtful_angles(scene, of_robot):
     """Notes on angles of joints that look like degrees: more than two turns, and at most 360."""
+    followers = {coupling.joint for coupling in scene.couplings}
     for joint in scene.joints:
         if joint.type != "revolute":
             continue
-        limits = joint.limits
-        for what, value in (
-            ("coordinate", getattr(joint, "coordinate", None)),
-            ("lower limit", getattr(limits, "lower", None)),
-            ("upper limit", getattr(limits, "upper", None)),
-        ):
+        values = {"coordinate": getattr(joint, "coordinate", None)}
+        for end in ("lower", "upper"):
+            value, own = getattr(joint.limits, end, None), (joint.data or {}).get(end)
+            if of_robot and value != own:  # the limits of a follower act on its leader, in other numbers
+                value = own if joint.name in followers else None
+            values[f"{end} limit"] = value
+        for what, value in values.items():
             if value is not None and 4.0 * math.pi < abs(value) <= 360.0:
                 turns = abs(value) / (2.0 * math.pi)
                 yield (

@@ -160,7 +160,7 @@ def test_a_mesh_of_mjcf_may_be_missing_unless_a_mass_follows_from_it(inertial, m
     assert scene.bodies[0].mass == pytest.approx(expected, rel=1e-12)
     assert "changes the motion: no contact, 3 collision shapes of arm" in " ".join(scene.notes)
     (note,) = [note for note in scene.notes if "mesh files" in note]
-    assert note.startswith("left out: 2 missing mesh files (meshes/nope.stl of arm, ")
+    assert note.startswith("left out: missing mesh files (meshes/nope.stl of arm, ")
     assert [visual.kind for visual in scene.robot.visuals["arm"]] == ["box"]
 
 
@@ -549,6 +549,25 @@ def test_unknown_parts_that_define_the_motion_change_it(tmp_path, old, new, part
     assert (found in scene.differences) is changes
 
 
+@pytest.mark.parametrize(
+    "kind, limit, notes",
+    [
+        ("prismatic", 3.0, []),  # 30 rad of j, but 3 m in the file
+        ("revolute", 180.0, ["lower limit of joint k: -180 rad", "upper limit of joint k: 180 rad"]),
+    ],
+)
+def test_a_limit_that_looks_like_degrees_is_one_of_the_file(kind, limit, notes, tmp_path):
+    inertial = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial>'
+    text = f"""<robot name="r"><link name="base"/><link name="a">{inertial}</link><link name="b">{inertial}</link>
+<joint name="j" type="continuous"><parent link="base"/><child link="a"/><axis xyz="0 1 0"/></joint>
+<joint name="k" type="{kind}"><parent link="a"/><child link="b"/><limit lower="-{limit}" upper="{limit}" effort="1"/>
+<mimic joint="j" multiplier="0.1"/></joint></robot>"""
+    scene = load_scene(written(tmp_path / "led.urdf", text))
+    assert scene.joints[0].limits.upper == pytest.approx(10.0 * limit)
+    found = [note for note in scene.notes if "turns" in note]
+    assert len(found) == len(notes) and all(map(str.startswith, found, notes))
+
+
 @pytest.mark.parametrize("kind, noted", [("revolute", True), ("prismatic", True), ("continuous", False)])
 def test_a_joint_without_its_limit_is_noted(tmp_path, kind, noted):
     path = written(
@@ -565,7 +584,7 @@ def test_a_mimic_of_a_fixed_joint_holds_nothing(tmp_path):
     text = five_bar_urdf().replace('<child link="left_end"/>', '<child link="left_end"/><mimic joint="left_crank"/>')
     scene = load_scene(written(tmp_path / "five_bar.urdf", text))
     assert len(scene.bodies) == 4
-    assert "left out: 1 couplings of fixed joints, which cannot follow (left_tip)" in scene.notes
+    assert "left out: couplings of fixed joints, which cannot follow (left_tip)" in scene.notes
 
 
 def test_limits_without_a_range_are_noted_with_the_reason(tmp_path):

@@ -208,7 +208,7 @@ def test_a_tendon_of_fixed_length_is_a_rod(longer, tmp_path):
     (rod,) = [joint for joint in scene.joints if joint.type == "distance"]
     assert rod.name == "rod" and rod.length == 1.0 + longer
     assert not any("rope" in note for note in scene.notes)
-    assert "left out: 1 tendons (bent)" in scene.notes
+    assert "left out: tendons (bent)" in scene.notes
     simulation = Simulation(scene, "rkmk8", 2e-3, stabilisation="projection")
 
     def angle():
@@ -389,10 +389,10 @@ def test_what_sdf_has_and_a_scene_has_not_is_noted(tmp_path):
         "changes the motion: kinematic of links, left out: a",
         "changes the motion: velocity_decay of links, left out: a",
         "start values of the file: j = 0.4",
-        "left out: 1 visuals that are not drawn (ground)",
-        "left out: 1 sensor of joints (touch)",
-        "left out: 1 physics of joints (j)",
-        "left out: 1 self_collide (m)",
+        "left out: visuals that are not drawn (ground)",
+        "left out: sensor of joints (touch)",
+        "left out: physics of joints (j)",
+        "left out: self_collide (m)",
         "changes the motion: unknown parts of the SDF file, left out: <orgin> in <inertial> of line 2, "
         "<origin> in <joint> of line 6, dampin in <dynamics> of line 8",
     ):
@@ -416,8 +416,8 @@ def test_what_acts_is_noted_as_a_change_of_the_motion_in_each_format(tmp_path):
         "changes the motion: wind of the world, left out: unnamed",
         "changes the motion: plugins that may act on bodies or joints, left out: gz::sim::systems::Buoyancy, hold",
         "changes the motion: enable_wind, left out: w",
-        "left out: 1 plugin (gz::sim::systems::Physics)",
-        "left out: 1 scene of the world (unnamed)",
+        "left out: plugin (gz::sim::systems::Physics)",
+        "left out: scene of the world (unnamed)",
     ]
     path = tmp_path / "swing.urdf"
     in_link = '<link name="a"><kinematic>1</kinematic><gravity>0</gravity>'  # of no reader of URDF
@@ -429,8 +429,8 @@ def test_what_acts_is_noted_as_a_change_of_the_motion_in_each_format(tmp_path):
         "changes the motion: gravity of links, left out: a",
         "changes the motion: plugins that may act on bodies or joints, left out: water",
         "changes the motion: dampingFactor of <gazebo>, left out: a",
-        "left out: 1 plugin (ros)",
-        "left out: 1 gazebo (a)",
+        "left out: plugin (ros)",
+        "left out: gazebo (a)",
     ]
 
 
@@ -612,8 +612,8 @@ def test_what_drake_has_and_a_scene_has_not_is_noted(tmp_path):
         "<drake:gearratio> in <actuator> of line 8 (did you mean gear_ratio?)",
         "changes the motion: mechanicalReduction beside a rotor without <drake:gear_ratio>, left out: reduced",
         "changes the motion: springs and damping of spherical joints, left out: j",
-        "left out: 1 drake:collision_filter_group (g)",
-        "left out: 1 transmission (plain)",
+        "left out: drake:collision_filter_group (g)",
+        "left out: transmission (plain)",
     ]
 
 
@@ -684,7 +684,7 @@ DRIVEN = """<mujoco><option><flag contact="disable" {flag}/></option><worldbody>
             None,
             ["changes the motion: actuators that are not affine, or not of joints with one coordinate, left out: p"],
         ),
-        ('<motor name="p" joint="b"/>', [], None, ["left out: 1 actuators (p)"]),
+        ('<motor name="p" joint="b"/>', [], None, ["left out: actuators (p)"]),
     ],
 )
 @pytest.mark.volume(3)
@@ -1013,7 +1013,7 @@ def test_limits_and_equalities_of_tendons(tmp_path):
             '<fixed name="t"><joint joint="ja" coef="1"/><joint joint="jc" coef="-2"/></fixed>'
             '<fixed name="u"><joint joint="jb" coef="2"/></fixed><fixed name="v"><joint joint="jc" coef="3"/></fixed>'
             '<fixed name="x"><joint joint="ja" coef="1"/><joint joint="jb" coef="1"/><joint joint="jc" coef="-2"/>'
-            "</fixed>",
+            '</fixed><fixed name="idle"><joint joint="ja" coef="1"/></fixed>',
             '<tendon tendon1="t" polycoef="0.3 0 0 0 0"/><tendon tendon1="u" tendon2="v" polycoef="0.1 0.5 0 0 0"/>'
             '<tendon name="three" tendon1="x"/>',
         ),
@@ -1023,6 +1023,7 @@ def test_limits_and_equalities_of_tendons(tmp_path):
     found = [(each.joint, each.other, each.ratio, each.offset) for each in scene.couplings]
     assert found == [("ja", "jc", 2.0, 0.3), ("jb", "jc", 0.75, 0.05), ("ja", "jb", -1.0, 0.0)]
     assert scene.couplings[2].terms == {"jc": 2.0}
+    assert [note for note in scene.notes if "tendons" in note] == ["left out: tendons (idle)"]
     assert [(joint.type, joint.length) for joint in scene.joints[3:]] == [("cable", 3.0), ("strut", 0.3)]
     without = scene_from_robot(path, Options(stops=[]))
     assert len(without.joints) == 3 and "changes the motion: limits of tendons, left out: l" in without.notes
