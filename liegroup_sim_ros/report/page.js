@@ -217,7 +217,7 @@ class Motion {
         if (k % every === 0 || k === this.times.length - 1)
           path.push([...this.point(k, i, body.com), `${this.times[k].toFixed(3)} s`]);
       }
-      return curve(path, body.name, body.colour, 2);
+      return curve(path, `path of ${body.name}`, body.colour, 2);
     });
     const red = [];
     for (const [i, from, to] of this.view.pushes.slice(0, 200)) {

@@ -16,6 +16,7 @@ from .shapes import box_of
 # Limits on the number of poses of all bodies and of frames. More would make the page large, fewer the motion jerky.
 MOST_PLACES, MOST_FRAMES, LEAST_FRAMES = 15_000, 3000, 200
 MOST_PUSHES = 1000
+COLOURFUL = 0.2  # least distance of the largest and the smallest of red, green and blue in a colour that is not grey
 
 
 def make_view(analysis, shapes=None):
@@ -44,7 +45,11 @@ def make_view(analysis, shapes=None):
         }
         for i, (body, (kind, size, local)) in enumerate(zip(scene.bodies, solids))
     ]
-    for scene_body, body in zip(scene.bodies, bodies):
+    given = [_own(found) for found in ((shapes or {}).get(body.name) for body in scene.bodies)]
+    for scene_body, body, own in zip(scene.bodies, bodies, given):
+        # Paths of equal colours, or of grey ones, could not be told apart.
+        if own and given.count(own) == 1 and np.ptp(own[:3]) > COLOURFUL:
+            body["colour"] = _rgb(own)
         if found := (shapes or {}).get(scene_body.name):
             at, size = box_of(found)
             body |= {
@@ -107,9 +112,17 @@ def make_view(analysis, shapes=None):
 def _coloured(shapes):
     """Shapes with their color as that of a style sheet, and an opacity."""
     for shape in shapes:
-        *color, opacity = shape["color"] or (None,)
-        yield shape | ({"colour": "rgb({},{},{})".format(*(round(255.0 * x) for x in color)), "opacity": opacity}
-                       if color else {})  # fmt: skip
+        color = shape["color"]
+        yield shape | ({"colour": _rgb(color), "opacity": color[3]} if color else {})
+
+
+def _own(shapes):
+    """Colour of the largest one of the shapes of a body; None if there is none."""
+    return max(shapes, key=lambda shape: np.prod(shape["size"]))["color"] if shapes else None
+
+
+def _rgb(color):
+    return "rgb({},{},{})".format(*(round(255.0 * part) for part in color[:3]))
 
 
 def speeds(seconds):

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Controls and figures beside the 3-D view: state, time line, plots, joints, events, what is drawn, saving."""
 
+import functools
 import itertools
 import math
 import time
@@ -132,7 +133,11 @@ class Panel:
 
     def _motion(self):
         gui, layout, moves = self._gui, self._page.source.layout, self._page.source.is_motion
-        self._error = self._plot("log10 of the error in m", ("estimated", "requested", *WITH_GAPS)) if moves else None
+        self._error = (
+            self._plot("log10 of the error, rad or relative to the size", ("estimated", "requested", *WITH_GAPS))
+            if moves
+            else None
+        )
         self._energy = self._plot("change of the energy, J", ("energy",)) if moves else None
         names = layout.coordinates.names
         self._joint = gui.add_dropdown("joint", tuple(names), initial_value=names[0]) if names else None
@@ -164,20 +169,15 @@ class Panel:
 
     def _joints(self, source):
         gui, layout = self._gui, source.layout
-        limits, servos = layout.limits, set(layout.servos)
-        movable = (
-            joint for joint in layout.coordinates.names if joint in limits and limits[joint][2] < limits[joint][3]
-        )
-        shown = list(itertools.islice(movable, MOST_JOINTS))
+        servos = set(layout.servos)
+        movable = ((joint, *_range(layout, joint)) for joint in layout.coordinates.names if joint in layout.limits)
+        shown = list(itertools.islice((each for each in movable if each[2] < each[3]), MOST_JOINTS))
         if "place" in source.takes:
             gui.add_html(
                 "<div style='padding:0 12px;font-size:12px'>Paused, a slider moves its joint, and loops close again. "
                 "Running, it commands the servo or the drive.</div>"
             )
-        for joint in shown:
-            unit, low, high = limits[joint][1:4]
-            reach = ROUND if unit == "rad" else REACH * layout.size
-            low, high = (low if math.isfinite(low) else -reach), (high if math.isfinite(high) else reach)
+        for joint, unit, low, high in shown:
             kind = "driven" if joint in layout.motions else "servo" if joint in servos else "place"
             with gui.add_folder(joint, expand_by_default=len(shown) <= 3):
                 slider = gui.add_slider(f"position, {unit}", low, high, (high - low) / 1000, min(max(0.0, low), high))
@@ -346,12 +346,13 @@ class Panel:
     def _plots(self, frame, since):
         page = self._page
         history, dressed = page.source.history, page.source.dressed
-        base = history.frames[0].sample.energy
+        base, size = history.frames[0].sample.energy, page.source.layout.size
+        estimated = functools.partial(_estimated, size=size)
         errors = {
-            "estimated": _estimated,
-            "requested": lambda f: f.bound[0] if f.bound else np.nan,
-            "beyond": lambda f: _estimated(f) if f.bound and _estimated(f) > f.bound[0] else np.nan,
-            f"distance {id(page._ghost)}": page.distance,
+            "estimated": estimated,
+            "requested": lambda f: f.bound[1] if f.bound else np.nan,
+            "beyond": lambda f: estimated(f) if f.bound and estimated(f) > f.bound[1] else np.nan,
+            f"distance {id(page._ghost)}": lambda f: page.distance(f) / size,
         }
         self._draw(self._error, history, since, {key: lambda f, v=v: _log10(v(f)) for key, v in errors.items()})
         self._draw(self._energy, history, since, {"energy": lambda f: f.sample.energy - base})
@@ -422,6 +423,20 @@ class _Plot:
         plot.data = (times, *curves)
 
 
+def _range(layout, joint):
+    """(unit, least, largest position) of the slider of a joint: between its stops, and where it takes commands."""
+    unit, low, high = layout.limits[joint][1:4]
+    for limits in (switch.limits for switch in layout.switches if switch.name == joint and switch.limits):
+        low, high = max(low, limits.least), min(high, limits.largest)
+    reach = ROUND if unit == "rad" else REACH * layout.size
+    # Beside one limit, the range has the usual length at least.
+    return (
+        unit,
+        low if math.isfinite(low) else min(-reach, high - reach),
+        high if math.isfinite(high) else max(reach, low + reach),
+    )
+
+
 def _log10(value):
     return math.log10(value) if value > 0.0 else math.nan
 
@@ -434,10 +449,14 @@ def _number(text):
         raise ViewError(f"{text!r} is no number: give one such as 1e-6") from None
 
 
-def _estimated(frame):
-    """Largest estimated position error of a ViewFrame, m, or NaN."""
+def _estimated(frame, size):
+    """Largest estimated error of a ViewFrame as the accuracy limits it: relative to the size in m, or in rad; or NaN.
+
+    The position of a body whose frame is in a joint has none.
+    """
     errors = frame.sample.errors
-    return np.nan if errors is None or not np.isfinite(errors[:, 0]).any() else np.nanmax(errors[:, 0])
+    known = np.empty(0) if errors is None else (errors[:, :2] / (size, 1.0))[np.isfinite(errors[:, :2])]
+    return known.max(initial=np.nan if not len(known) else 0.0)
 
 
 def _norm(wrench, part):

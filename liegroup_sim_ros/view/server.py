@@ -26,6 +26,7 @@ LOOPBACK = ("127.0.0.1", "localhost", "::1")
 MOST_CLIENTS = 8
 MOST_BYTES = 16 * 2**20  # of a message of a client: a picture that it has drawn
 MOST_RATE = 500.0  # messages of a client in a second; a mouse that is dragged sends about 60
+LONGEST_LINE = 2**13  # bytes of a request that websockets reads
 LONGEST_PATH = 200  # characters of an address; a name of a file has at most 255 bytes
 COOKIE = "liegroup_view"
 HINT = "pip install 'liegroup_sim_ros[view]'"
@@ -106,8 +107,34 @@ def _serve(serve, guard, handler, *arguments, process_request=None, **options):
         refused = guard.refusal(connection, request)
         return refused if refused is not None else process_request(connection, request)
 
-    options["max_size"] = MOST_BYTES
+    options |= {"max_size": MOST_BYTES, "create_connection": _answering()}
     return serve(guarded, *arguments, process_request=process, **options)
+
+
+@functools.cache
+def _answering():
+    """Class of connections that answer the requests that websockets does not read: it would close them in silence."""
+    from websockets.asyncio.server import ServerConnection
+
+    class Answering(ServerConnection):
+        start, is_answered = b"", False
+
+        def data_received(self, data):
+            if self.request is None:
+                self.start = (self.start + data)[:LONGEST_LINE]
+            super().data_received(data)
+
+        def send_data(self):
+            if self.protocol.handshake_exc is not None and self.request is None and not self.is_answered:
+                self.is_answered = True
+                line, end, _ = self.start.partition(b"\n")
+                status = HTTPStatus.BAD_REQUEST if line.startswith(b"GET ") else HTTPStatus.METHOD_NOT_ALLOWED
+                status = status if end else HTTPStatus.REQUEST_URI_TOO_LONG
+                head = f"HTTP/1.1 {status} {status.phrase}\r\nAllow: GET\r\nContent-Length: 0\r\nConnection: close"
+                self.transport.write(f"{head}\r\n\r\n".encode())
+            super().send_data()
+
+    return Answering
 
 
 class _Guard:

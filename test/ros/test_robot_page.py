@@ -14,11 +14,13 @@ from robot_texts import ARM_URDF, five_bar_urdf
 from sensor_msgs.msg import JointState
 
 from liegroup_core import Simulation, load_scene
+from liegroup_sim_ros.analysis import analyse
 from liegroup_sim_ros.commands.main import main
 from liegroup_sim_ros.messages.description import robot_description
 from liegroup_sim_ros.playback.resimulate import resimulate
 from liegroup_sim_ros.recording import read_recording
 from liegroup_sim_ros.report.shapes import MOST_TRIANGLES, decoded, robot_shapes
+from liegroup_sim_ros.report.view import make_view
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 PAGE = (DOCS / "how-to" / "robot.md").read_text()
@@ -276,7 +278,7 @@ DRAWN = """<mujoco><compiler angle="radian"/><default><default class="col"><geom
 </worldbody></mujoco>"""
 
 
-def test_shapes_of_mjcf_are_those_of_the_compiled_model(tmp_path):
+def test_shapes_of_mjcf_are_those_of_the_compiled_model(tmp_path, monkeypatch):
     """Bounds of meshes are those of MuJoCo's points; volumes of others those of its masses at density 1."""
     trimesh, mujoco = pytest.importorskip("trimesh"), pytest.importorskip("mujoco")
     wedge = trimesh.convex.convex_hull([[100, 50, 10], [160, 50, 10], [100, 80, 10], [100, 50, 30]])
@@ -305,6 +307,11 @@ def test_shapes_of_mjcf_are_those_of_the_compiled_model(tmp_path):
     expected = {"a": (0.9, 0.1, 0.1, 0.5), "b": None, "c": (1, 127 / 255, 0.5 * 63 / 255, 1), "d": (0.1, 0.2, 0.3, 1)}
     for body, color in expected.items():
         assert shapes[body][0]["color"] == (color if color is None else pytest.approx(color, abs=1e-6))
+    monkeypatch.chdir(tmp_path)
+    assert main(["run", "drawn.xml", "--duration", "0.02", "--out", "run.mcap"]) == 0
+    view = make_view(analyse(read_recording("run.mcap"), reference=False), shapes)
+    drawn = {body["name"]: body["colour"] for body in view["bodies"]}  # of its path and in the legend
+    assert (drawn["a"], drawn["b"], drawn["c"]) == ("rgb(229,26,26)", "--orange", "rgb(255,127,32)")
 
 
 COLLADA = """<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1"><asset>

@@ -171,6 +171,23 @@ def test_a_scene_is_pulled_by_the_mouse_and_repeats_bit_by_bit(opened, tmp_path)
 
 
 @pytest.mark.turn(3)
+def test_a_hinge_whose_frame_is_in_its_joint(opened):
+    """Its position has no error, its attitude has; its slider ends at its stops."""
+    text = BLOCK.replace("  - {name: box, mass: 2, inertia: [0.34, 0.33, 0.32]}\n", "").replace(
+        "child_frame:", "limits: {lower: -0.5, upper: 1.2}, child_frame:"
+    )
+    text = text.replace("position: [3, 0, 0]", "angular_velocity: [0, 0, 0.3]")
+    page, _ = opened(Local(Simulation(scene_from_text(text)), "door"))
+    slider, plot = page._panel._sliders["hinge"], page._panel._error._plot
+    assert (slider.min, slider.max) == (-0.5, 1.2)
+    wait_for(lambda: len(plot.data[1]) > 5 and np.isfinite(plot.data[1][-1]), "estimated error")
+    times, found, requested = plot.data[:3]
+    frame = next(frame for frame in page.source.history.frames if frame.time == times[-1])
+    assert not frame.sample.errors[0, 0] and found[-1] == pytest.approx(np.log10(frame.sample.errors[0, 1]))
+    assert requested[-1] == pytest.approx(np.log10(frame.bound[1]))
+
+
+@pytest.mark.turn(3)
 def test_a_recording_plays_goes_back_and_branches(opened, tmp_path):
     path = tmp_path / "run.mcap"
     assert main(["run", "double_pendulum", "--duration", "20", "--out", str(path)]) == 0
@@ -503,10 +520,10 @@ def _acceleration(scene, label, point, force):
     return turn @ (found[3:] + np.cross(found[:3], point))
 
 
-def answer(address, **headers):
+def answer(address, data=None, **headers):
     """Status of a request."""
     try:
-        with urllib.request.urlopen(urllib.request.Request(address, headers=headers)) as response:
+        with urllib.request.urlopen(urllib.request.Request(address, data, headers)) as response:
             return response.status
     except urllib.error.HTTPError as error:
         return error.code
@@ -541,7 +558,9 @@ def test_the_page_is_for_this_machine_and_this_origin_only():
         assert address == f"http://127.0.0.1:{port}" and answer(address) == 200
         assert answer(address, Host="evil.example") == 403  # a name that points here
         assert answer(f"{address}/../../etc/passwd") == 404
-        assert answer(f"{address}/{'x' * 201}") == answer(f"{address}/{'x' * 5000}") == 414
+        assert {answer(f"{address}/{'x' * count}") for count in (201, 5000, 9000, 10**6)} == {414}
+        assert {answer(address, data) for data in (b"", b"x", bytes(10**6))} == {405}
+        assert answer(address, Cookie="x" * 9000) == answer(address, X="y" * 9000) == 400
         for origin, accepted in ((address, True), ("http://evil.example", False), (None, False), ("null", False)):
             assert accepts(address, origin) is accepted
         # Nonsense ends its own connection, nothing else.
