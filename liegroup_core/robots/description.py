@@ -19,6 +19,7 @@ from liegroup_core.lie.groups import SE3, SO3, UNKNOWN_TURN, within_a_turn
 
 WORLD = "world"
 MISSING_MESHES = "missing mesh files"  # in notes
+FORBIDDEN_MESHES = "mesh files outside of the robot file's tree, which only --allow-files reads"
 NOT_DRAWN = "visuals that are not drawn"
 # Elements whose unknown parts may change the motion. For a joint these are children, such as a misspelt <origin>.
 MOTION = {"inertial", "mass", "inertia", "axis", "axis2", "dynamics", "mimic"}

@@ -16,10 +16,10 @@ from liegroup_core.fields.values import NEGATIVE_ROUND_OFF, TRIANGLE_TOLERANCE
 from .actuators import add_drives
 from .additions import added_couplings, added_drive, added_forces, added_joints
 from .chains import base_of, grouped, kept_joints, locked_joints, place_links
-from .description import MISSING_MESHES, ONE_COORDINATE, WORLD, frame_keys, listed
+from .description import ONE_COORDINATE, WORLD, frame_keys, listed
 from .names import scene_name, unique_names
 from .options import BEYOND, is_within
-from .resources import find_resource
+from .resources import note_mesh
 from .rotors import cut_rotors
 from .sensors import add_sensors, check_kept, kept_fixed_joints
 from .stiffness import stiffness_notes
@@ -454,8 +454,8 @@ def _left_out(robot, grouping, switches, outside):
         notes.append(f"changes the motion: {what}, left out: {listed(names)}")
     for name in grouping.of_link:
         for visual in robot.links[name].visuals if name in robot.links else ():
-            if visual.mesh and find_resource(visual.mesh, robot.file) is None:
-                robot.leave_out(MISSING_MESHES, f"{visual.mesh} of {name}")
+            if visual.mesh:
+                note_mesh(robot, visual.mesh, name)
     for what, names in robot.left_out.items():
         notes.append(f"left out: {what} ({listed(names)})")
     return notes

@@ -20,8 +20,9 @@ from liegroup_core.lie.groups import SO3
 from .access import is_permitted, outside
 from .actuators import FREE, Actuator
 from .apart import run_apart
-from .description import MISSING_MESHES, NOT_DRAWN, WORLD, Link, Relation, Robot, RobotJoint, Visual, place, refusal
+from .description import NOT_DRAWN, WORLD, Link, Relation, Robot, RobotJoint, Visual, place, refusal
 from .mjcf_sensors import read_sensors
+from .resources import note_mesh
 from .tendons import Tendon, add_relation
 from .xml import Reader, read_xml
 
@@ -273,7 +274,7 @@ def _shapes(robot, model, names):
         if geom["collides"] and name != WORLD:
             robot.leave_out("collision", name, changes_motion=True)
         if geom["missing"]:
-            robot.leave_out(MISSING_MESHES, f"{geom['missing']} of {name}")
+            note_mesh(robot, geom["missing"], name)
         elif geom["group"] > SHOWN and geom["body"] in shown:
             robot.leave_out(
                 f"shapes of geom groups above {SHOWN}, which MuJoCo hides", geom["name"] or f"{kind} of {name}"

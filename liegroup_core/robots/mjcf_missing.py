@@ -6,6 +6,7 @@ of a body follows from a mesh. All other missing files are replaced by placehold
 """
 
 import os
+from contextlib import suppress
 
 import mujoco
 
@@ -14,10 +15,11 @@ from liegroup_core.errors import MissingFileError
 MESH_SCALE = (1.0, 1.0, 1.0)
 
 
-def compiled_without_files(path):
+def compiled_without_files(path, error):
     """(compiled model, {number of a geom: address of its mesh} of the missing meshes).
 
-    Raises MissingFileError if the mass of a body follows from a missing mesh.
+    Raises `error`, of the compiler, if no file is missing; MissingFileError, or PermissionError for a file that this
+    process may not open, if the mass of a body follows from a missing mesh.
     """
     spec = mujoco.MjSpec.from_file(path)
     missing = {}
@@ -30,12 +32,15 @@ def compiled_without_files(path):
     without = [geom for geom in spec.geoms if geom.meshname in missing]
     for geom in without:
         if _has_mass(geom, spec):
+            with suppress(FileNotFoundError), open(os.path.join(spec.modelfiledir, missing[geom.meshname]), "rb"):
+                pass
             body = f'body "{geom.parent.name}"' if geom.parent.name else "a body without a name"
             raise MissingFileError(
                 f"mesh file '{missing[geom.meshname]}' does not exist, and the mass of {body} follows "
                 "from it: supply the file, or give the body an <inertial>"
             )
-    _replace_pictures(spec)
+    if not _replace_pictures(spec) and not missing:
+        raise error
     model = spec.compile()
     return model, {geom.id: missing[geom.meshname] for geom in without}
 
@@ -66,20 +71,23 @@ def _has_mass(geom, spec):
 
 
 def _replace_pictures(spec):
-    """Replace parts that only a viewer or contact needs: textures, height fields and skins."""
+    """Replace parts that only a viewer or contact needs: textures, height fields and skins. Returns whether it did."""
+    replaced = False
     for texture in spec.textures:
         if _missing(texture.file, texture.compiler.texturedir, spec) or any(
             _missing(file, texture.compiler.texturedir, spec) for file in texture.cubefiles
         ):
-            texture.file, texture.content_type = "", ""
+            replaced, texture.file, texture.content_type = True, "", ""
             texture.cubefiles = [""] * len(texture.cubefiles)
             texture.builtin = mujoco.mjtBuiltin.mjBUILTIN_FLAT
             texture.width = texture.height = 1
     for field in spec.hfields:
         if _missing(field.file, field.compiler.meshdir, spec):
-            field.file, field.content_type = "", ""
+            replaced, field.file, field.content_type = True, "", ""
             field.nrow = field.ncol = 2
             field.userdata = [0.0] * 4
     for skin in list(spec.skins):
         if _missing(skin.file, skin.compiler.meshdir, spec):
             spec.delete(skin)
+            replaced = True
+    return replaced

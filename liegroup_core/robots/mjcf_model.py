@@ -43,9 +43,7 @@ def _compiled(path):
     try:
         return mujoco.MjModel.from_xml_path(path), {}
     except ValueError as error:
-        if "Error opening file" not in str(error):
-            raise
-    return compiled_without_files(path)
+        return compiled_without_files(path, error)
 
 
 def _text(names, start):

@@ -10,6 +10,7 @@ from liegroup_core.errors import SceneError
 from liegroup_core.fields.arguments import got
 
 from .access import MODEL_PATHS, holds_home, permit, search_folders
+from .description import FORBIDDEN_MESHES, MISSING_MESHES
 from .xml import read_xml
 
 MARKS = ("package.xml", "model.config")  # one of them is in the folder of a package or model
@@ -61,6 +62,16 @@ def readable_resource(address, file):
         return None
     named = address.startswith(("package://", "model://"))
     return permit(path, path if named else file)
+
+
+def note_mesh(robot, address, link):
+    """Note a mesh file of a link that does not exist, or that the robot file may not refer to."""
+    try:
+        what = MISSING_MESHES if readable_resource(address, robot.file) is None else None
+    except SceneError:
+        what = FORBIDDEN_MESHES
+    if what:
+        robot.leave_out(what, f"{address} of {link}")
 
 
 def beside(source, name):

@@ -249,6 +249,34 @@ def test_files_outside_of_the_tree_are_read_on_request_only(tmp_path):
         load_scene(path)
 
 
+MESHED = """<mujoco><asset><mesh name="m" file="{mesh}"/></asset><worldbody><body name="arm"><joint/>{own}
+<geom type="mesh" mesh="m"/></body></worldbody></mujoco>"""
+MESHED_URDF = """<robot name="r"><link name="base"/><link name="arm"><inertial><mass value="1"/><inertia ixx="1" iyy="1"
+izz="1"/></inertial><visual><geometry><mesh filename="{mesh}"/></geometry></visual></link><joint name="j"
+type="continuous"><parent link="base"/><child link="arm"/></joint></robot>"""
+
+
+@pytest.mark.parametrize("text", [MESHED, MESHED_URDF])
+def test_a_mesh_outside_of_the_tree_is_noted(text, tmp_path):
+    """A mass that follows from it is refused, also for OBJ; a mesh in the tree that is empty is said to be empty."""
+    path = tmp_path / "ws" / "robots" / "arm.xml"
+    path.parent.mkdir(parents=True)
+    mesh = written(tmp_path / "m.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n")
+    own = '<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
+    path.write_text(text.format(mesh=mesh, own=own))
+    what = "left out: mesh files outside of the robot file's tree, which only --allow-files reads"
+    assert f"{what} ({mesh} of arm)" in load_scene(path).notes
+    assert not any("mesh files" in note for note in load_scene(path, allow_files=True).notes)
+    if text is MESHED:
+        path.write_text(text.format(mesh=mesh, own=""))
+        with pytest.raises(SceneError, match="m.obj is not read: it is outside of"):
+            load_scene(path)
+        written(path.parent / "empty.stl", "")
+        path.write_text(text.format(mesh="empty.stl", own=own))
+        with pytest.raises(SceneError, match="arm.xml:1: mjcf: .*empty.stl' is empty"):
+            load_scene(path)
+
+
 def test_the_tree_of_a_file_is_never_a_home_folder(tmp_path, monkeypatch):
     monkeypatch.setenv("HOME", str(tmp_path))
     (tmp_path / ".git").mkdir()
@@ -337,7 +365,7 @@ def test_a_mesh_is_read_in_bounded_memory(tmp_path):
             for _ in range(500):
                 part.write(b'<vertex x="1" y="2" z="3"/>' * 40_000)
     assert mesh.stat().st_size < 4e6
-    shapes = [("b", "mesh", [1.0] * 3, np.eye(4).tolist(), str(mesh))]
+    shapes = [("b", "mesh", [1.0] * 3, np.eye(4).tolist(), str(mesh), None, -1)]
     order.write_text(json.dumps({"shapes": shapes, "most": 100}))
     with pytest.raises(SceneError, match="needs more than 1 GiB"):
         apart.run_apart("meshes", order, folders=[tmp_path])
