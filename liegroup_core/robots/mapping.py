@@ -449,16 +449,28 @@ def _left_out(robot, grouping, switches, outside):
     ]
     if swapped:
         notes.append(f"error in the file: the lower limit is above the upper one: {listed(swapped)}")
+    for name in grouping.of_link:
+        for visual in robot.links[name].visuals if name in robot.links else ():
+            _check_visual(robot, visual, name)
     notes += [f"{what}: {listed(names)}" for what, names in robot.remarks.items()]
     for what, names in robot.changes.items():
         notes.append(f"changes the motion: {what}, left out: {listed(names)}")
-    for name in grouping.of_link:
-        for visual in robot.links[name].visuals if name in robot.links else ():
-            if visual.mesh:
-                note_mesh(robot, visual.mesh, name)
     for what, names in robot.left_out.items():
         notes.append(f"left out: {what} ({listed(names)})")
     return notes
+
+
+def _check_visual(robot, visual, link):
+    """Note what a viewer cannot draw as the file says, and clip its colour."""
+    if visual.mesh:
+        note_mesh(robot, visual.mesh, link)
+    if visual.asset < 0 and not (all(visual.size) if visual.mesh else min(visual.size) > 0.0):
+        size = " ".join(f"{part:g}" for part in visual.size)
+        robot.remark("visuals with a size that has no volume", f"{visual.kind} {size} of {link}")
+    if visual.color and not 0.0 <= min(visual.color) <= max(visual.color) <= 1.0:
+        color = " ".join(f"{part:g}" for part in visual.color)
+        robot.remark("colours clipped to the range from 0 to 1", f"{color} of {link}")
+        visual.color = tuple(np.clip(visual.color, 0.0, 1.0).tolist())
 
 
 def _from_line(robot, line):

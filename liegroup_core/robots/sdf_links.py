@@ -142,6 +142,6 @@ def _color(reader, visual):
     material = visual.find("material")
     for part in () if material is None else filter(None, (material.findtext("diffuse"), material.findtext("ambient"))):
         found = reader.numbers(material, f"{part} 1" if len(part.split()) == 3 else part, 4, "colour of <material>")
-        *color, opacity = np.clip(found, 0.0, 1.0).tolist()
+        *color, opacity = found.tolist()
         return (*color, opacity * (1.0 - value_of(reader, visual, "transparency", 0.0)))
     return None

@@ -239,7 +239,7 @@ def _color(reader, material):
     color = None if material is None else material.find("color")
     if color is None:
         return None
-    return tuple(np.clip(reader.numbers(color, color.get("rgba"), 4, "rgba of <color>"), 0.0, 1.0).tolist())
+    return tuple(reader.numbers(color, color.get("rgba"), 4, "rgba of <color>").tolist())
 
 
 def _visuals(reader, visual, colors):

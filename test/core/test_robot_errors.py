@@ -568,6 +568,33 @@ def test_a_limit_that_looks_like_degrees_is_one_of_the_file(kind, limit, notes, 
     assert len(found) == len(notes) and all(map(str.startswith, found, notes))
 
 
+@pytest.mark.parametrize(
+    "geometry, color, notes",
+    [
+        ('<box size="1 2 3"/>', "0 0.5 1 1", []),
+        ('<box size="1 1 -1"/>', "0 0 1 1", ["visuals with a size that has no volume: box 1 1 -1 of a"]),
+        ('<sphere radius="0"/>', "0 0 1 1", ["visuals with a size that has no volume: sphere 0 of a"]),
+        (
+            '<mesh filename="m.stl" scale="1 0 1"/>',
+            "0 0 1 1",
+            ["visuals with a size that has no volume: mesh 1 0 1 of a"],
+        ),
+        ('<mesh filename="m.stl" scale="1 -1 1"/>', "0 0 1 1", []),  # mirrored
+        ('<box size="1 2 3"/>', "255 0 0 1", ["colours clipped to the range from 0 to 1: 255 0 0 1 of a"]),
+        ('<box size="1 2 3"/>', "0 0 1 -2", ["colours clipped to the range from 0 to 1: 0 0 1 -2 of a"]),
+    ],
+)
+def test_visuals_that_look_wrong_are_noted(geometry, color, notes, tmp_path):
+    inertial = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial>'
+    visual = f'<visual><geometry>{geometry}</geometry><material name="m"><color rgba="{color}"/></material></visual>'
+    text = f"""<robot name="r"><link name="base"/><link name="a">{inertial}{visual}</link>
+<joint name="j" type="continuous"><parent link="base"/><child link="a"/></joint></robot>"""
+    scene = load_scene(written(tmp_path / "r.urdf", text))
+    assert [note for note in scene.notes if note.startswith(("visuals", "colours"))] == notes
+    ((_, _, drawn),) = scene.robot.drawn()
+    assert drawn.color == tuple(np.clip([float(part) for part in color.split()], 0.0, 1.0))
+
+
 @pytest.mark.parametrize("kind, noted", [("revolute", True), ("prismatic", True), ("continuous", False)])
 def test_a_joint_without_its_limit_is_noted(tmp_path, kind, noted):
     path = written(
