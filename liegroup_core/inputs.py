@@ -200,7 +200,7 @@ class Inputs:
     ) -> None:
         """Apply an effort to a joint with one coordinate, from one time to another.
 
-        joint  : name of a revolute or prismatic joint
+        joint  : name of a revolute, screw or prismatic joint
         effort : torque about its z axis in N m, or force along it in N, on the child; the opposite
                  acts on the parent. Zero ends it
         start, duration, source : as in `apply_wrench`; each source has one effort per joint

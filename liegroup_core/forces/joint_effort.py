@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Efforts of joints with one coordinate, as constant wrenches on the two bodies.
 
-The z axis of a revolute or prismatic joint is fixed in both bodies. So a torque tau about it, or a force
+The z axis of a revolute, screw or prismatic joint is fixed in both bodies. So a torque tau about it, or a force
 f along it, is constant in body axes for any motion:
 
-    revolute   torque  tau z_b on the child   ,   -tau z_a on the parent
+    revolute   torque  tau z_b on the child   ,   -tau z_a on the parent; also of a screw, whose thread is its reaction
     prismatic  force   f z_b at p_b           ,   -f z_a at p_a: the same line in space
 
 So an effort enters the schedule of external wrenches and rotates with the bodies inside a step. Its work

@@ -82,8 +82,8 @@ class JointType:
     text       : motion that the joint allows, for readers of the code
     turns      : the z axes stay parallel and the child rotates about z; torques about z can act
     slides     : the z axes coincide and the child translates along z; forces along z can act
-    coordinate : "rad" or "m", the unit of the joint coordinate about or along z; None if the joint
-                 has not exactly one degree of freedom, or couples both (screw)
+    coordinate : "rad" or "m", the unit of the joint coordinate about or along z, "rad" of a screw; None if the
+                 joint has not exactly one degree of freedom
     """
 
     text: str

@@ -72,7 +72,7 @@ class LowerPair:
     def coordinate(self):
         """Unit of the joint coordinate, "rad" or "m"; None if the pair has not exactly one free direction."""
         free = set(_COORDINATES) - set(self.coordinates)
-        return {"wz": "rad", "vz": "m"}[free.pop()] if len(free) == 1 and not self.has_pitch else None
+        return {"wz": "rad", "vz": "m"}[free.pop()] if len(free) == 1 else None
 
     @property
     def rate(self):

@@ -4,8 +4,9 @@
 With the joint frames A on the parent and B on the child, z_A and z_B their axes in the world,
     revolute   theta = atan2(R10 - R01, R00 + R11) of R = R_A^T R_B,   z_B . (omega_b - omega_a)
     prismatic  z_A . (p_B - p_A),                                      z_B . (v_b - v_a) at p_B
+    screw      theta + 2 pi k, nearest to z_A . (p_B - p_A) / pitch,       z_B . (omega_b - omega_a)
 Their errors are of the order of the joint's residual. An angle is unwrapped if the joint has a torsional
-spring or a servo, is coupled or driven. Other angles are between -pi and pi.
+spring or a servo, is coupled or driven. Other angles are between -pi and pi, but for screws.
 """
 
 import math
@@ -13,6 +14,7 @@ import math
 import numpy as np
 
 from liegroup_core.compiling import SameTypes, kernel
+from liegroup_core.forces.turn import unwrapped
 from liegroup_core.joints.kinds import TYPES
 from liegroup_core.lie.groups import within_a_turn
 from liegroup_core.lie.vec3 import ZERO3, add3, cross3, dot3, load3, load9, matmul3, matvec3, sub3, tmatmul3
@@ -41,11 +43,11 @@ def _motion(pose, twist, body, point):
 
 @SameTypes
 @kernel
-def _coordinates(ends, slides, frames, poses, twists, out):
+def _coordinates(ends, pitches, frames, poses, twists, out):
     """Positions and velocities of joints in m states, out (m, k, 2).
 
     ends   : (k, 2) indices of parent and child; that of the world is the number of bodies
-    slides : (k,) True for a prismatic joint
+    pitches: (k,) m/rad, of a revolute joint 0, of a prismatic one infinite
     frames : (k, 24) joint frames in parent and child: R row by row, point in m
     poses, twists : (m, n, 12), (m, n, 6)
     """
@@ -57,12 +59,15 @@ def _coordinates(ends, slides, frames, poses, twists, out):
             R_B, p_B = _placed(frames, j, 12, pose, b)
             (spin_a, speed_a), (spin_b, speed_b) = (_motion(pose, twist, a, p_B), _motion(pose, twist, b, p_B))
             z_B = (R_B[2], R_B[5], R_B[8])
-            if slides[j]:
-                out[i, j, 0] = dot3((R_A[2], R_A[5], R_A[8]), sub3(p_B, p_A))
+            z = dot3((R_A[2], R_A[5], R_A[8]), sub3(p_B, p_A))
+            if math.isinf(pitches[j]):
+                out[i, j, 0] = z
                 out[i, j, 1] = dot3(z_B, sub3(speed_b, speed_a))
             else:
                 R = tmatmul3(R_A, R_B)
-                out[i, j, 0] = math.atan2(R[3] - R[1], R[0] + R[4])
+                angle = math.atan2(R[3] - R[1], R[0] + R[4])
+                has_turns = abs(z) < 1e15 * abs(pitches[j])
+                out[i, j, 0] = unwrapped(angle, z / pitches[j]) if has_turns else angle
                 out[i, j, 1] = dot3(z_B, sub3(spin_b, spin_a))
 
 
@@ -82,7 +87,8 @@ class JointCoordinates:
         n = len(place)
         ends = [(place.get(joint.parent, n), place[joint.child]) for joint, _ in found]
         self._ends = np.array(ends, dtype=np.int64).reshape(-1, 2)
-        self._slides = np.array([self.units[name] == "m" for name in self.names], dtype=bool)
+        pitches = [math.inf if self.units[joint.name] == "m" else getattr(joint, "pitch", 0.0) for joint, _ in found]
+        self._pitches = np.array(pitches, dtype=float)
         rows = [[*C[:3, :3].ravel(), *C[:3, 3]] for _, pair in found for C in pair]
         self._frames = np.array(rows, dtype=float).reshape(-1, 24)
         counted = [joint for joint, _ in scene.unwrapped]
@@ -127,7 +133,7 @@ class JointCoordinates:
             self._write(pose[None], twist[None], out[None])
 
     def _write(self, poses, twists, out):
-        _coordinates(self._ends, self._slides, self._frames, poses, twists, out)
+        _coordinates(self._ends, self._pitches, self._frames, poses, twists, out)
 
     def along(self, poses, twists, angles):
         """Positions and velocities (m, j, 2) in the order of `names`, of m states; arguments as of `at`, for each."""

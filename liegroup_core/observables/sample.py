@@ -130,9 +130,9 @@ class Sample:
 
     @cached_property
     def joint_coordinates(self) -> dict[str, tuple[float, float]]:
-        """{joint: (position, velocity)}, in rad and rad/s for revolute, in m and m/s for prismatic joints.
+        """{joint: (position, velocity)}, in rad and rad/s for revolute and screw, in m and m/s for prismatic joints.
 
-        The angle is unwrapped if the joint has a torsional spring, is coupled or driven. Other angles
+        The angle is unwrapped if the joint is a screw, has a torsional spring, is coupled or driven. Other angles
         are between -pi and pi.
         """
         found = self._layout.coordinates.at(*self._state, self.angles)

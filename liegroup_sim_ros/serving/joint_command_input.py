@@ -223,12 +223,7 @@ class JointCommandInput(JointInput):
         return Target(joint, _or_zero(position), velocity, start_ns)
 
     def _check_effort(self, name, effort):
-        joint = self.joints[name]
-        if joint not in self._with_effort:
-            self.refuse(
-                "no_coordinate", lambda: f"{name} is a screw joint and takes no effort: command a position or velocity"
-            )
-        self.refuse_beyond_limits(self.limits[joint].check_effort, effort)
+        self.refuse_beyond_limits(self.limits[self.joints[name]].check_effort, effort)
 
     def _check_servos(self, wanted, jumps):
         for name, position, velocity in wanted:

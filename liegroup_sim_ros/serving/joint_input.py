@@ -33,8 +33,7 @@ class JointInput(CountedInput):
               are not checked for motions of driven joints and jumps of servos
     Other arguments are those of CountedInput.
 
-    joints     : {name in messages: joint of the scene} of the joints with one coordinate: revolute and
-                 prismatic joints, and driven screws
+    joints     : {name in messages: joint of the scene} of the joints with one coordinate
     servos     : {name in messages: whether its servo needs a target position}
     driven     : names in messages of the driven joints
     most_names : largest number of names in a message
@@ -44,9 +43,7 @@ class JointInput(CountedInput):
     def __init__(self, what, counted, reasons, layout, present=None):
         super().__init__(what, counted, reasons)
         scene, names = layout.scene, layout.coordinates.names
-        names = [*names, *(joint for joint in layout.motions if joint not in names)]
         self.limits, self._present = layout.limits, present
-        self._with_effort = layout.unit_efforts.keys()
         self.joints = dict(zip(joint_labels(names, scene.robot), names))
         self._others = set(joint_labels([joint.name for joint in scene.joints], scene.robot))
         if scene.robot is not None:

@@ -364,9 +364,7 @@ class SimulationServer(SimulationCommands, threading.Thread):
                 self._send_report(report)
 
     def _keep_positions(self, sample):
-        coordinates = sample.joint_coordinates
-        states = sample.prescribed | coordinates  # driven screws are only in `prescribed`
-        self.positions = {joint: position for joint, (position, *_) in states.items()}
+        self.positions = {joint: position for joint, (position, _) in sample.joint_coordinates.items()}
 
     def _warn_once(self, name, text, about=""):
         """Log a warning and send an event, once per `name` and `about`."""

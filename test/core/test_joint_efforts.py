@@ -27,7 +27,7 @@ joints:
   - {name: rail, type: prismatic, parent: world, child: sledge,
      parent_frame: {position: [0, 2, 0], axis: [2, -1, 2]}}
 """
-# Two bodies that float, with an arm that turns and slides: reactions act on every parent.
+# Bodies that float, with an arm that turns and slides, and a nut: reactions act on every parent.
 FLOATING = """
 name: floating
 gravity: [0, 0, 0]
@@ -35,11 +35,27 @@ bodies:
   - {name: hull, mass: 4.0, inertia: [0.5, 0.6, 0.7], com: [0.1, 0, 0.05]}
   - {name: arm, mass: 1.0, inertia: [0.1, 0.12, 0.05], com: [0, 0.1, 0], position: [0.5, 0.2, 0]}
   - {name: hand, mass: 0.5, inertia: [0.02, 0.03, 0.04], position: [1.0, 0.3, 0.2]}
+  - {name: nut, mass: 0.8, inertia: [0.02, 0.03, 0.04], com: [0.05, 0.02, 0], position: [-0.4, 0.2, 0.1]}
 joints:
   - {name: shoulder, type: revolute, parent: hull, child: arm,
      parent_frame: {position: [0.3, 0.1, 0], axis: [1, 1, 3]}}
   - {name: slide, type: prismatic, parent: arm, child: hand,
      parent_frame: {position: [0.2, 0.1, 0.1], axis: [1, 0.2, 0]}}
+  - {name: thread, type: screw, pitch: -0.3, parent: hull, child: nut,
+     parent_frame: {position: [-0.4, 0.1, 0], axis: [1, -2, 0.5]}}
+"""
+# A nut that was turned by 1.3 rad and three turns from where its thread begins.
+NUT = """
+name: nut
+gravity: [1.0, 0, -9.81]
+bodies:
+  - {name: nut, mass: 1.5, inertia: [0.01, 0.02, 0.012], position: [0, 2, 1.0],
+     angular_velocity: [0, 0, 4.0], linear_velocity: [0, 0, 0.2]}
+joints:
+  - {name: thread, type: screw, pitch: 0.05, parent: world, child: nut, child_frame: {},
+     parent_frame: {position: [0, 2, %r], rotation_vector: [0, 0, -1.3]}}
+sensors:
+  - {name: encoder, type: encoder, joint: thread}
 """
 ONE_OF_EACH = [
     ("rkmk4", "relative"),
@@ -101,11 +117,29 @@ def test_a_constant_effort_on_a_rail_gives_the_acceleration(method, group):
     assert np.abs(coordinate(simulation, "rail") - expected).max() <= 2e-12
 
 
+@pytest.mark.parametrize("method, group", ONE_OF_EACH)
+def test_a_screw_has_one_coordinate(method, group):
+    """Its angle with all turns, which encoders measure; (I + m p^2) alpha = tau - m g p, I about the centre of mass.
+
+    The acceleration is constant and the motion about a fixed axis: errors as of a hinge.
+    """
+    pitch, start = 0.05, 1.3 + 6.0 * np.pi
+    simulation = made(NUT % (1.0 - pitch * start), method, group)
+    assert simulation.sample().joint_coordinates["thread"] == pytest.approx((start, 4.0), abs=1e-13)
+    simulation.apply_effort("thread", 2.5)
+    simulation.advance(100)
+    alpha = (2.5 - 1.5 * 9.81 * pitch) / (0.012 + 1.5 * pitch**2)
+    sample = simulation.sample()
+    expected = start + 0.1 * 4.0 + 0.5 * 0.1**2 * alpha, 4.0 + 0.1 * alpha
+    assert coordinate(simulation, "thread") == pytest.approx(expected, rel=1e-12)
+    assert sample.sensors["encoder"] == sample.joint_coordinates["thread"][0]
+
+
 def balance(method, group, step):
     """(energy that is no work, J; largest momentum) of the floating arm after 0.5 s."""
     simulation = made(FLOATING, method, group, step)
     before = simulation.sample()
-    efforts = {"shoulder": 0.8, "slide": -1.2}
+    efforts = {"shoulder": 0.8, "slide": -1.2, "thread": 0.3}
     for joint, effort in efforts.items():
         simulation.apply_effort(joint, effort)
     simulation.advance(round(0.5 / step))

@@ -223,18 +223,19 @@ joints:
 """
 
 
-def test_a_driven_screw_takes_positions_and_velocities():
-    """In rad about its axis; it takes no effort, and a screw that is not driven takes nothing."""
+def test_a_screw_takes_the_commands_of_a_joint_with_one_coordinate():
+    """In rad and N m about its axis; one that is not driven takes efforts."""
     reader = JointCommandInput(make_layout(scene_from_text(SCREW)), 0.02)
     (motion,) = reader.read(message(["thread"], [3.0], [0.5]), NOW, 0, None)
     assert motion[:4] == ("thread", 3.0, 0.5, 0.02)
+    (effort,) = reader.read(message(["other"], effort=[1.5]), NOW, 0, None)
+    assert (effort.joint, effort.effort) == ("other", 1.5)
     for payload, reason in (
-        (message(["thread"], effort=[1.0]), "no_coordinate"),
-        (message(["other"], [1.0]), "no_coordinate"),
+        (message(["other"], [1.0]), "no_servo"),
         (message(["thread"], [4.1]), "beyond_limits"),
         (message(["thread"], velocity=[1001.0]), "beyond_limits"),
     ):
         with pytest.raises(Refusal) as caught:
             reader.read(payload, NOW, 0, None)
         assert caught.value.reason == reason and "\n" not in str(caught.value)
-    assert reader.accepted == 1
+    assert reader.accepted == 2
