@@ -110,7 +110,7 @@ def sections(facts):
         ("Import", _import_rows(facts["import"])),
         ("Masses and sizes at the start, world axes", _mass_rows(facts["masses"])),
         (
-            "Bodies",
+            "Bodies: centres of mass, and inertias about them, body axes",
             [
                 (
                     body["name"],
