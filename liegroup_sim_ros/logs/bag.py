@@ -177,7 +177,7 @@ class Bag:
             logs, stamps, values = rows[topic]
             logs.append(log_ns)
             stamps.append(_stamp(message))
-            values.append([_number(field(message)) for field in wanted[topic]])
+            values.append([number_of(field(message)) for field in wanted[topic]])
         found = {}
         for topic, (logs, stamps, values) in rows.items():
             if not logs:
@@ -221,7 +221,8 @@ def listed(names):
     return (", ".join(names[:SHOWN]) or "none") + (f" and {len(names) - SHOWN} more" if len(names) > SHOWN else "")
 
 
-def _number(value):
+def number_of(value):
+    """A number of a message, NaN for anything else."""
     return float(value) if isinstance(value, (int, float)) else np.nan
 
 

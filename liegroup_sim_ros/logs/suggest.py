@@ -2,8 +2,12 @@
 """Suggested map of a bag: what its topics are in a scene, by their types and names."""
 
 import json
+import math
+from functools import partial
+from types import SimpleNamespace
 
-from .bag import BagError, listed
+from .bag import BagError, listed, number_of
+from .load import fields_of
 
 STAMPED = {"geometry_msgs/msg/PoseStamped": "pose", "geometry_msgs/msg/TwistStamped": "twist"}
 PARTS = ("position", "velocity", "effort")
@@ -75,16 +79,29 @@ def suggest(bag, scene, layout):
             names = bag.names(topic)
             own = f"; its names: {listed(names)}" if names else ""
             notes.append(f"{topic} ({kind}): nothing more of the scene found in it{own}")
-    return _text(inputs, measurements), notes
+    known = partial(_is_known, bag, scene, notes)
+    return _text([*filter(known, inputs)], [*filter(known, measurements)]), notes
+
+
+def _is_known(bag, scene, notes, entry):
+    """Whether each number of an entry is in some message of its topic; else a note."""
+    name, topic, path = entry
+    missing = fields_of(SimpleNamespace(output=name, field=path), scene, bag.topics[topic])
+    for message in bag.messages(topic):
+        missing = [field for field in missing if math.isnan(number_of(field(message)))]
+        if not missing:
+            return True
+    notes.append(f"{topic}: no message has a number {missing[0].text}: without {name}")
+    return False
 
 
 def _joint_parts(messages):
-    """{name: its PARTS in some message}; several drivers may publish on one topic."""
+    """{name: its PARTS with a number in some message}; several drivers may publish on one topic."""
     found = {}
     for message in messages:
-        counts = [(part, len(message[part])) for part in PARTS]
+        known = [(part, [not math.isnan(each) for each in message[part]]) for part in PARTS]
         for k, name in enumerate(message["name"]):
-            found.setdefault(name, set()).update(part for part, count in counts if k < count)
+            found.setdefault(name, set()).update(part for part, of in known if any(of[k : k + 1]))
     return found
 
 

@@ -96,6 +96,28 @@ def test_suggested_maps_and_formats_give_equal_logs(folder, capsys):
             assert one.times.tobytes() == other.times.tobytes() and one.values.tobytes() == other.values.tobytes()
 
 
+def test_a_suggested_map_has_only_numbers_of_the_bag(folder, tmp_path, capsys):
+    """NaN stands for none, as efforts of a joint without one, or commands to other interfaces; the map can be read."""
+    state, array = "sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray"
+    layout = TYPES["std_msgs/msg/MultiArrayLayout"]([], 0)
+    states, commands = [], []
+    for k in range(9):
+        stamp, nan = START_NS + k * 10_000_000, np.full(2, np.nan)
+        velocity = np.array([np.nan, np.nan if k < 8 else 0.1])
+        states.append((stamp, TYPES[state](header(stamp), ["motor", "hinge"], 0.1 * np.ones(2), velocity, nan)))
+        commands.append((stamp, TYPES[array](layout, np.full(1, np.nan))))
+    write_bag(tmp_path / "bag", {"/joint_states": (state, states), "/commands": (array, commands)})
+    assert main(["compare", str(folder / "furuta.yaml"), str(tmp_path / "bag"), "--suggest"]) == 0
+    text = capsys.readouterr().out
+    assert "# /commands: no message has a number data[0]: without motor.effort" in text
+    (tmp_path / "map.yaml").write_text(text)
+    given = load_map(tmp_path / "map.yaml")
+    assert not given.inputs
+    assert [each.output for each in given.measurements] == ["motor.position", "hinge.position", "hinge.velocity"]
+    with open_bag(tmp_path / "bag") as bag:
+        load_log(bag, given, load_scene(folder / "furuta.yaml"), {})
+
+
 @pytest.mark.parametrize(("first", "kept"), [(0, 3), (START_NS, 2)])
 def test_a_stamp_of_zero_is_a_time_of_clocks_that_begin_there(first, kept, tmp_path):
     """Of simulated time; beside stamps of the wall clock it is none."""
