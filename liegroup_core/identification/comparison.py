@@ -19,6 +19,7 @@ LEVEL = 0.95  # of intervals
 LENGTH = 2.0  # s, of a segment
 PARTS = (16, 4, 1)  # of the length: segments with which fits begin, as short ones need no good start
 FEW_SEGMENTS = 4  # of the longest, with which fits begin
+ENOUGH = 3  # messages in a segment, on average: two positions of a joint fit any model, by its start
 LEAST = 9  # measurements in a segment: as many as the first guess of a start takes
 LINEAR = 0.01  # of the spread of an output: largest rms that is not noise, for effects to be linear
 # Three standard deviations of mean square minus estimated variance of n residuals that are white noise, by the variance
@@ -298,9 +299,17 @@ def begin(scene, log, names=(), length=LENGTH, workers=None, limits=None, priors
     runs = Runs(scene, log, names, LONGEST)
     free = [each.delay is None for each in log.measured]
     fit = Fit(runs, [each.noise for each in log.measured], free, limits, priors, workers)
-    most = max(len(each.times) for each in log.measured)
+    fullest = max(log.measured, key=lambda each: len(each.times))
+    most = len(fullest.times)
     counts = [max(1, round((last - first) / length)) for first, last in log.spans]
     finest = [np.linspace(first, last + 1e-6, PARTS[0] * count + 1) for count, (first, last) in zip(counts, log.spans)]
+    longest = np.searchsorted(np.concatenate([each[:: PARTS[0]] for each in finest]), fullest.times, "right")
+    if (each := most / len(np.unique(longest))) < ENOUGH:
+        usual = float(np.median(np.diff(fullest.times))) if most > 1 else 0.0
+        raise SceneError(
+            f"{fullest.name}: segments of {length:g} s have {each:.3g} of the {most} messages each, too few to judge "
+            f"a model: check the unit of the stamps, {usual:.2g} s apart, or use segments of {LEAST * usual:.2g} s"
+        )
     found = []
     for part in PARTS:
         if part == 1 or part * sum(counts) * LEAST <= most:

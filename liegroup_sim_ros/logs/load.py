@@ -89,6 +89,9 @@ def load_log(bag, given, scene, turns):
     origin = min(int(stamps[0]) for stamps, _ in times.values())
     seconds = {topic: (stamps - origin) * 1e-9 for topic, (stamps, _) in times.items()}
     spans = [each[-1] for each in seconds.values()]
+    for topic, each in seconds.items():
+        if (span := each[-1] - each[0]) > LATE_STAMPS:
+            raise BagError(f"the stamps of {topic} span {span:.6g} s, more than a day: check their unit")
     if max(each[0] for each in seconds.values()) > max(spans) or max(spans) > LATE_STAMPS:
         late = max(seconds, key=lambda topic: seconds[topic][0])
         raise BagError(
