@@ -275,7 +275,7 @@ class Machine:
             found.append(outputs.of_path(path, rows))
         for t, k, joint, law in self._rubbing:
             rate = path.joints[np.searchsorted(seen, segment.places[t]), self.layout.coordinates.names.index(joint), 1]
-            found[t][:, k] += law.coulomb * np.sign(rate) + law.viscous * rate
+            found[t][:, k] += law.against(rate)
         return found
 
     def path(self, segment, state, seen, extra=None, halves=0):
@@ -483,11 +483,15 @@ def _friction(scene, log):
             joint, _, part = name.rpartition(".")
             if part != "effort" or joint not in driven or joints[joint].friction is None:
                 continue
-            law = joints[joint].friction
-            if max(law.by_load) > 0.0:
-                raise SceneError(f"{name}: friction by load has no part in the effort of a driven joint: remove mu")
-            found.append((t, k, joint, law))
+            found.append((t, k, joint, law_of_driven(joints[joint])))
     return found
+
+
+def law_of_driven(joint):
+    """Friction that is a part of the effort of a driven joint. Raises SceneError for friction by load."""
+    if max(joint.friction.by_load) > 0.0:
+        raise SceneError(f"{joint.name}.effort: friction by load has no part in that of a driven joint: remove mu")
+    return joint.friction
 
 
 def _changes(engine, end):

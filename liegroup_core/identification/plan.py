@@ -2,9 +2,9 @@
 """Experiment design: the motion of some joints, within limits, that would sharpen numbers of a scene most.
 
 A motion is the quintic spline through equally distant points, at rest at both ends. Chosen joints are driven along it,
-the others move as the scene says. From the efforts of the drives and the noise of what would be measured follow the
-standard deviations of the numbers, as those of a fit. Points are chosen at random, then changed one motion after the
-other as long as that makes the product of the deviations smaller.
+against their friction, the others move as the scene says. From the efforts of the drives and the noise of what would be
+measured follow the standard deviations of the numbers, as those of a fit. Points are chosen at random, then changed one
+motion after the other as long as that makes the product of the deviations smaller.
 """
 
 from dataclasses import dataclass
@@ -13,6 +13,7 @@ import numpy as np
 import scipy
 
 from liegroup_core.errors import SceneError, SimulationError
+from liegroup_core.layout import make_layout
 from liegroup_core.linear.channels import OutputChannels
 from liegroup_core.linear.numbers import Numbers
 from liegroup_core.linear.probe import Probe
@@ -21,6 +22,7 @@ from liegroup_core.simulation import Simulation
 from .comparison import LONGEST, in_short_steps
 from .fit import Fit
 from .log import LINEAR, Given, Log, Measured
+from .machine import PRESCRIBED, law_of_driven
 from .runs import Runs, Unknowns
 from .starts import first_states
 
@@ -106,6 +108,7 @@ class _Motions:
         self._scene, self._moves, self._measured = scene, moves, dict(measured)
         self._seconds, self._rate, self._names, self._workers = seconds, rate, names, workers
         start = Simulation(scene, "rkmk4", 1.0 / rate, estimate=False, quiet=True).sample().joint_coordinates
+        joints = {joint.name: joint for joint in scene.joints}
         for move in moves:
             if move.joint not in start:
                 raise SceneError(f"{move.joint} is no joint with one coordinate: choose one of {', '.join(start)}")
@@ -114,9 +117,17 @@ class _Motions:
                     f"{move.joint} starts at {start[move.joint][0]:.6g}: its limits must include that, from low to "
                     "high, and its speed be positive"
                 )
+            stops = joints[move.joint].limits
+            if stops is not None and not stops.least <= move.low < move.high <= stops.largest:
+                raise SceneError(f"{move.joint}: plan a motion between its stops, {stops.least:g} to {stops.largest:g}")
         self._start = np.array([start[move.joint][0] for move in moves])
         self._knots = np.linspace(0.0, seconds, POINTS + 1)
         self.numbers = Numbers(scene, list(names))
+        try:
+            self._laws = [(k, law_of_driven(joints[m.joint])) for k, m in enumerate(moves) if joints[m.joint].friction]
+            make_layout(self._driven(np.tile(self._start, (POINTS, 1))))
+        except SceneError as error:
+            raise SceneError(f"a plan drives the joints that move: {error}") from None
 
     def best(self, rng, chosen, before=()):
         """_Found with the smallest deviations of motions of some joints, from motions found before on; None: none."""
@@ -162,8 +173,8 @@ class _Motions:
             self._knots, [self._start[k], *points], 5, bc_type=(AT_REST, AT_REST)
         )
 
-    def _simulated(self, points):
-        """(times, positions, rates, efforts) of the joints, and outputs (k, p)."""
+    def _driven(self, points):
+        """Scene whose joints follow points; neither their stops nor their friction act."""
         motions = {
             move.joint: {
                 "times": self._knots.tolist(),
@@ -175,12 +186,14 @@ class _Motions:
             for curve in [self._curve(points[:, k], k)]
         }
         joints = [
-            joint.remade(driven=True, motion=motions[joint.name]) if joint.name in motions else joint
+            joint.remade(**PRESCRIBED | {"motion": motions[joint.name]}) if joint.name in motions else joint
             for joint in self._scene.joints
         ]
-        simulation = Simulation(
-            self._scene.remade(joints=joints), "rkmk4", 0.5 / self._rate, estimate=False, quiet=True
-        )
+        return self._scene.remade(joints=joints)
+
+    def _simulated(self, points):
+        """(times, positions, rates, efforts) of the joints, and outputs (k, p)."""
+        simulation = Simulation(self._driven(points), "rkmk4", 0.5 / self._rate, estimate=False, quiet=True)
         count = int(self._seconds * self._rate) + 1
         probe = Probe(simulation)
         outputs, rows, motion = OutputChannels(probe, list(self._measured)), [], []
@@ -191,7 +204,10 @@ class _Motions:
                 [(*sample.joint_coordinates[move.joint], sample.drive_efforts[move.joint]) for move in self._moves]
             )
             simulation.advance(2)
-        return (np.arange(count) / self._rate, *np.array(motion).transpose(2, 0, 1)), np.array(rows)
+        positions, rates, efforts = np.array(motion).transpose(2, 0, 1)
+        for k, law in self._laws:
+            efforts[:, k] += law.against(rates[:, k])
+        return (np.arange(count) / self._rate, positions, rates, efforts), np.array(rows)
 
     def _deviations(self, motion, outputs):
         """(q,) standard deviations of the numbers from a log of a motion."""

@@ -4,6 +4,7 @@
 import math
 from typing import Any, NamedTuple
 
+import numpy as np
 from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
 
 from liegroup_core.errors import SceneError
@@ -135,6 +136,10 @@ class Friction(Described):
     def at_rest(self):
         """Largest constant friction at rest."""
         return self.coulomb if self.static is None else self.static
+
+    def against(self, rate):
+        """Effort that a motion takes against sliding and viscous friction, N m or N; rate : rad/s or m/s, any shape."""
+        return self.coulomb * np.sign(rate) + self.viscous * rate
 
     @property
     def by_load(self):

@@ -66,8 +66,7 @@ def _coordinates(ends, pitches, frames, poses, twists, out):
             else:
                 R = tmatmul3(R_A, R_B)
                 angle = math.atan2(R[3] - R[1], R[0] + R[4])
-                has_turns = abs(z) < 1e15 * abs(pitches[j])
-                out[i, j, 0] = unwrapped(angle, z / pitches[j]) if has_turns else angle
+                out[i, j, 0] = unwrapped(angle, z / pitches[j]) if abs(z) < 1e15 * abs(pitches[j]) else angle
                 out[i, j, 1] = dot3(z_B, sub3(spin_b, spin_a))
 
 

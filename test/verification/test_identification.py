@@ -185,6 +185,10 @@ def test_given_noise_and_gaps_and_values_that_are_missing():
             lambda log: Log((), (Measured("/a", np.arange(30.0), ("motor.angle",), np.zeros((30, 1)), np.ones(1)),)),
             "unknown output 'motor.angle'",
         ),
+        (
+            lambda log: replace(log, measured=tuple(replace(m, times=1e3 * m.times) for m in log.measured)),
+            "segments of 2 s have 1 of the 48 messages each, .*: check the unit of the stamps, ",
+        ),
     ],
 )
 def test_wrong_logs_have_one_line(change, text):
@@ -455,6 +459,26 @@ def test_a_plan_foresees_the_deviations_of_a_fit(monkeypatch):
     fitted = identify(scene, log, names, length=planning.PART, workers=1)
     assert fitted.deviations == pytest.approx(found.deviations, rel=0.25)
     assert abs(fitted.values[0] - 0.15) < 4.0 * found.deviations[0]
+
+
+def test_a_planned_motion_goes_against_friction(monkeypatch):
+    """Sliding and viscous: by these its efforts differ from those without friction, of the same motion at random."""
+    planning = sys.modules["liegroup_core.identification.plan"]
+    monkeypatch.setattr(planning, "TRIES", 1)
+    monkeypatch.setattr(planning, "STEPS", 0)
+    scene, found = machine("furuta"), []
+    for friction in (None, {"coulomb": 0.02, "viscous": 0.003}):
+        keys = {"friction": friction, "limits": {"lower": -1.0, "upper": 1.5}}
+        joints = [j.remade(**keys) if j.name == "motor" else j for j in scene.joints]
+        rubbing = scene.remade(joints=joints)
+        names = ["joints.motor.friction.viscous"] if friction else ["rod.shape.mass"]
+        found.append(plan(rubbing, names, [Move("motor", -0.5, 1.5)], {"motor.position": 5e-4}, 0.5, workers=1))
+    (free, rubs), rates = found, found[0].rates
+    assert np.array_equal(free.positions, rubs.positions) and np.isfinite(rubs.deviations).all()
+    law = 0.02 * np.sign(rates) + 0.003 * rates
+    assert rubs.efforts - free.efforts == pytest.approx(law, abs=1e-12)
+    with pytest.raises(SceneError, match="motor: plan a motion between its stops, -1 to 1.5"):
+        plan(rubbing, names, [Move("motor", -2.0, 1.0)], {"motor.position": 5e-4}, 0.5, workers=1)
 
 
 DRIVEN = [
