@@ -15,11 +15,11 @@ from liegroup_core.errors import MissingFileError
 MESH_SCALE = (1.0, 1.0, 1.0)
 
 
-def compiled_without_files(path, error):
+def compiled_without_files(path):
     """(compiled model, {number of a geom: address of its mesh} of the missing meshes).
 
-    Raises `error`, of the compiler, if no file is missing; MissingFileError, or PermissionError for a file that this
-    process may not open, if the mass of a body follows from a missing mesh.
+    Raises MissingFileError if the mass of a body follows from a missing mesh, PermissionError from one that this
+    process may not open, and ValueError if other parts of the model are wrong.
     """
     spec = mujoco.MjSpec.from_file(path)
     missing = {}
@@ -32,15 +32,14 @@ def compiled_without_files(path, error):
     without = [geom for geom in spec.geoms if geom.meshname in missing]
     for geom in without:
         if _has_mass(geom, spec):
-            with suppress(FileNotFoundError), open(os.path.join(spec.modelfiledir, missing[geom.meshname]), "rb"):
-                pass
+            with suppress(FileNotFoundError):
+                open(os.path.join(spec.modelfiledir, missing[geom.meshname]), "rb").close()
             body = f'body "{geom.parent.name}"' if geom.parent.name else "a body without a name"
             raise MissingFileError(
                 f"mesh file '{missing[geom.meshname]}' does not exist, and the mass of {body} follows "
                 "from it: supply the file, or give the body an <inertial>"
             )
-    if not _replace_pictures(spec) and not missing:
-        raise error
+    _replace_pictures(spec)
     model = spec.compile()
     return model, {geom.id: missing[geom.meshname] for geom in without}
 
@@ -71,23 +70,20 @@ def _has_mass(geom, spec):
 
 
 def _replace_pictures(spec):
-    """Replace parts that only a viewer or contact needs: textures, height fields and skins. Returns whether it did."""
-    replaced = False
+    """Replace parts that only a viewer or contact needs: textures, height fields and skins."""
     for texture in spec.textures:
         if _missing(texture.file, texture.compiler.texturedir, spec) or any(
             _missing(file, texture.compiler.texturedir, spec) for file in texture.cubefiles
         ):
-            replaced, texture.file, texture.content_type = True, "", ""
+            texture.file, texture.content_type = "", ""
             texture.cubefiles = [""] * len(texture.cubefiles)
             texture.builtin = mujoco.mjtBuiltin.mjBUILTIN_FLAT
             texture.width = texture.height = 1
     for field in spec.hfields:
         if _missing(field.file, field.compiler.meshdir, spec):
-            replaced, field.file, field.content_type = True, "", ""
+            field.file, field.content_type = "", ""
             field.nrow = field.ncol = 2
             field.userdata = [0.0] * 4
     for skin in list(spec.skins):
         if _missing(skin.file, skin.compiler.meshdir, spec):
             spec.delete(skin)
-            replaced = True
-    return replaced

@@ -42,8 +42,8 @@ def _compiled(path):
     """(compiled model, {number of a geom: address of its mesh} of the missing meshes)."""
     try:
         return mujoco.MjModel.from_xml_path(path), {}
-    except ValueError as error:
-        return compiled_without_files(path, error)
+    except ValueError:
+        return compiled_without_files(path)
 
 
 def _text(names, start):

@@ -45,7 +45,8 @@ def make_view(analysis, shapes=None):
         }
         for i, (body, (kind, size, local)) in enumerate(zip(scene.bodies, solids))
     ]
-    given = [_own(found) for found in ((shapes or {}).get(body.name) for body in scene.bodies)]
+    given = [(shapes or {}).get(body.name) for body in scene.bodies]
+    given = [found and max(found, key=lambda shape: np.prod(shape["size"]))["color"] for found in given]
     for scene_body, body, own in zip(scene.bodies, bodies, given):
         # Paths of equal colours, or of grey ones, could not be told apart.
         if own and given.count(own) == 1 and np.ptp(own[:3]) > COLOURFUL:
@@ -114,11 +115,6 @@ def _coloured(shapes):
     for shape in shapes:
         color = shape["color"]
         yield shape | ({"colour": _rgb(color), "opacity": color[3]} if color else {})
-
-
-def _own(shapes):
-    """Colour of the largest one of the shapes of a body; None if there is none."""
-    return max(shapes, key=lambda shape: np.prod(shape["size"]))["color"] if shapes else None
 
 
 def _rgb(color):

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Controls and figures beside the 3-D view: state, time line, plots, joints, events, what is drawn, saving."""
 
-import functools
 import itertools
 import math
 import time
@@ -133,11 +132,8 @@ class Panel:
 
     def _motion(self):
         gui, layout, moves = self._gui, self._page.source.layout, self._page.source.is_motion
-        self._error = (
-            self._plot("log10 of the error, rad or relative to the size", ("estimated", "requested", *WITH_GAPS))
-            if moves
-            else None
-        )
+        curves = ("estimated", "requested", *WITH_GAPS)
+        self._error = self._plot("log10 of the error, rad or relative to the size", curves) if moves else None
         self._energy = self._plot("change of the energy, J", ("energy",)) if moves else None
         names = layout.coordinates.names
         self._joint = gui.add_dropdown("joint", tuple(names), initial_value=names[0]) if names else None
@@ -347,7 +343,7 @@ class Panel:
         page = self._page
         history, dressed = page.source.history, page.source.dressed
         base, size = history.frames[0].sample.energy, page.source.layout.size
-        estimated = functools.partial(_estimated, size=size)
+        estimated = lambda f: _estimated(f, size)  # noqa: E731
         errors = {
             "estimated": estimated,
             "requested": lambda f: f.bound[1] if f.bound else np.nan,
@@ -429,12 +425,8 @@ def _range(layout, joint):
     for limits in (switch.limits for switch in layout.switches if switch.name == joint and switch.limits):
         low, high = max(low, limits.least), min(high, limits.largest)
     reach = ROUND if unit == "rad" else REACH * layout.size
-    # Beside one limit, the range has the usual length at least.
-    return (
-        unit,
-        low if math.isfinite(low) else min(-reach, high - reach),
-        high if math.isfinite(high) else max(reach, low + reach),
-    )
+    low = low if math.isfinite(low) else min(-reach, high - reach)
+    return unit, low, high if math.isfinite(high) else max(reach, low + reach)
 
 
 def _log10(value):
@@ -450,10 +442,7 @@ def _number(text):
 
 
 def _estimated(frame, size):
-    """Largest estimated error of a ViewFrame as the accuracy limits it: relative to the size in m, or in rad; or NaN.
-
-    The position of a body whose frame is in a joint has none.
-    """
+    """Largest estimated error of a ViewFrame as the accuracy limits it: relative to the size, or in rad; or NaN."""
     errors = frame.sample.errors
     known = np.empty(0) if errors is None else (errors[:, :2] / (size, 1.0))[np.isfinite(errors[:, :2])]
     return known.max(initial=np.nan if not len(known) else 0.0)

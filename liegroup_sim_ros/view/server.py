@@ -128,8 +128,7 @@ def _answering():
             if self.protocol.handshake_exc is not None and self.request is None and not self.is_answered:
                 self.is_answered = True
                 line, end, _ = self.start.partition(b"\n")
-                status = HTTPStatus.BAD_REQUEST if line.startswith(b"GET ") else HTTPStatus.METHOD_NOT_ALLOWED
-                status = status if end else HTTPStatus.REQUEST_URI_TOO_LONG
+                status = HTTPStatus(414 if not end else 400 if line.startswith(b"GET ") else 405)
                 head = f"HTTP/1.1 {status} {status.phrase}\r\nAllow: GET\r\nContent-Length: 0\r\nConnection: close"
                 self.transport.write(f"{head}\r\n\r\n".encode())
             super().send_data()
