@@ -151,11 +151,6 @@ class MuntheKaas:
         then = work.lead_external, work.lead_targets, work.lead_motions, work.lead_acting
         return any((one != other).any() for one, other in zip(now, then) if len(one))
 
-    @property
-    def kept_from(self):
-        """(whole steps, s after them) from which on states inside substeps are known."""
-        return self._lead.time("kept_base", "kept_lead")
-
     def _set_ahead(self):
         ahead = self._may_run_ahead and len(self._methods[self.chosen][0].inside) > 0
         self._control.ahead[0] = float(ahead)
