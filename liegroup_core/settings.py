@@ -81,7 +81,7 @@ class Setting:
             return isinstance(value, (bool, np.bool_) if self.kind is bool else str)
         if not (is_finite(value) if self.kind is float else type(value) is int):
             return False
-        return self.low <= value <= self.high and not 0.0 < value < self.least
+        return self.low <= value <= self.high and not self.low == 0.0 < value < self.least
 
 
 _TABLE = (

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulation for users: stepping, options, and errors that end an integration."""
 
+import dataclasses
 import functools
 import threading
 
@@ -11,6 +12,7 @@ import pytest
 from liegroup_core import SceneError, Simulation, SimulationError, engine, load_scene
 from liegroup_core.forces.commands import WRENCH, Command
 from liegroup_core.scene import Body
+from liegroup_core.settings import SETTINGS
 from liegroup_core.status import NOT_FINITE, ROTATION_TOO_LARGE
 
 
@@ -117,6 +119,13 @@ def test_a_step_count_that_is_not_an_integer_is_refused(steps):
     assert simulation.steps == 0
     simulation.advance(np.int64(2))
     assert simulation.steps == 2
+
+
+def test_the_least_number_beside_zero_is_not_that_of_a_range_without_zero():
+    """An accuracy of the node may be 1e-13, as its text says."""
+    assert dataclasses.replace(SETTINGS["accuracy"], least=1e-9).check(1e-13) == 1e-13
+    with pytest.raises(ValueError, match="must be 0, or a number from 1e-09 to 10 s, got 1e-12"):
+        dataclasses.replace(SETTINGS["step"], low=0.0, least=1e-9, high=10.0).check(1e-12)
 
 
 @pytest.mark.parametrize("settings", [{}, {"method": "rkmk54"}])
