@@ -72,7 +72,11 @@ class Comparison:
 
     @property
     def agrees(self):
-        """Whether the residuals are as small as the noise, and no effect explains them."""
+        """Whether residuals are as small as the noise, no effect explains them, and longer segments show no more."""
+        return self._is_noise and self.fit.further is None
+
+    @property
+    def _is_noise(self):
         return bool(self.worst.chi <= self.worst.limit) and not self.effects
 
     @property
@@ -134,6 +138,16 @@ class Comparison:
         worst, solution = self.worst, self.solution
         if self.agrees:
             return "The measurements agree with the model: what is left is noise."
+        if self._is_noise:
+            at_once, longer = (
+                max(s.times[-1] - s.start for s in self.fit.runs.segments(each.point))
+                for each in (solution, self.fit.further)
+            )
+            worst = max(channel_fits(self.fit, self.fit.further), key=lambda channel: channel.chi / channel.limit)
+            return (
+                f"The measurements agree with the model for {at_once:.3g} s at a time, but not for {longer:.3g} s: "
+                f"{worst.name} is {worst.chi:.3g} times its noise off then (rms {worst.rms:.3g})."
+            )
         text = "" if solution.converged else "The fit of the starts did not converge. "
         text += f"{worst.name} is {worst.chi:.3g} times its noise off (rms {worst.rms:.3g})."
         if not self.effects:
@@ -192,12 +206,14 @@ def _nested(fit, bounds, found=None):
 
     found : Solution to continue with; None: from the log and the scene
     """
-    best, growths = None, []
+    best, growths, fit.further = None, [], None
     for each in bounds:
         if len(growths) > 1 and _next_growth(*growths[-2:]) > MUCH_PARTED:
             break
         solution = _solved(fit, first_point(fit, each) if found is None else continued(fit, each, found))
         if best is not None and not _is_near(fit, solution):
+            if solution.converged and solution.growth <= PARTED:
+                fit.further = solution
             break
         best = found = _refined(fit, solution)
         growths.append(solution.growth)
