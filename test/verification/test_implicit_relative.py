@@ -67,8 +67,9 @@ def stiffened(scene, factor):
             keys["rest_length"] = 1.001 * float(np.linalg.norm(ends[0] - ends[1]))
         else:
             place = "rest_angle" if hasattr(force, "rest_angle") else "rest_position"
-            if force.joint not in sample.joint_coordinates:
-                continue
+            kinds = {joint.name: joint.type for joint in scene.joints}
+            if force.joint not in sample.joint_coordinates or kinds[force.joint] == "screw":
+                continue  # a thread makes a spring stiffer than a step can show
             keys[place] = sample.joint_coordinates[force.joint][0]
         forces.append(force.remade(**keys))
     return scene.remade(forces=forces)

@@ -115,9 +115,9 @@ def test_small_balls_bounce_like_large_ones(height):
     assert engine.modes == {"track": "lower"}
 
 
-@pytest.mark.parametrize("rate", [1.0, 1e9])
+@pytest.mark.parametrize("rate", [1.0, 1e8])
 def test_fast_small_oscillators_hit_their_stop_like_slow_large_ones(rate):
-    """w = 1 rad/s and 1 m, 1e9 rad/s and 1 um, elastic stop at half of the amplitude: 119 impacts.
+    """w = 1 rad/s and 1 m, 1e8 rad/s and 1 um, elastic stop at half of the amplitude: 119 impacts.
 
     From the stop back to it the phase w t advances by 2 (pi - arccos 0.5). rkmk8 with w h = 0.1 errs by
     less than 1e-14 a step; 5000 steps and the impacts, which only turn the phase back, by 5e-11 at most.
