@@ -149,7 +149,10 @@ class Comparison:
                 f"{worst.name} is {worst.chi:.3g} times its noise off then (rms {worst.rms:.3g})."
             )
         text = "" if solution.converged else "The fit of the starts did not converge. "
-        text += f"{worst.name} is {worst.chi:.3g} times its noise off (rms {worst.rms:.3g})."
+        if worst.chi > worst.limit:
+            text += f"{worst.name} is {worst.chi:.3g} times its noise off (rms {worst.rms:.3g})."
+        else:
+            text += f"{worst.name} is as near as its noise (rms {worst.rms:.3g}), but what is left is not noise."
         if not self.effects:
             return text + " No single effect explains it."
         first = self.effects[0]
