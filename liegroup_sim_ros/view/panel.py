@@ -268,9 +268,14 @@ class Panel:
 
     def block(self, reason):
         """Disable all controls, which show it, and say why; "" enables them again."""
+        import viser
+
         self.blocked = reason
         for handle in list(self._gui._gui_input_handle_from_uuid.values()):
-            handle.disabled = bool(reason)
+            if isinstance(handle, viser.GuiButtonGroupHandle):  # it cannot be disabled
+                handle.visible = not reason
+            else:
+                handle.disabled = bool(reason)
 
     def note(self, text, failed=False):
         """Show one line among the events."""

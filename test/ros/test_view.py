@@ -179,6 +179,12 @@ def test_a_hinge_whose_frame_is_in_its_joint(opened):
     text = text.replace("position: [3, 0, 0]", "angular_velocity: [0, 0, 0.3]")
     page, _ = opened(Local(Simulation(scene_from_text(text)), "door"))
     slider, plot = page._panel._sliders["hinge"], page._panel._error._plot
+    handles = list(page._server.gui._gui_input_handle_from_uuid.values())
+    shown = [handle.visible for handle in handles]
+    page._panel.block("busy")  # a group of buttons cannot be disabled: it is hidden
+    assert all(handle.disabled or not handle.visible for handle in handles)
+    page._panel.block("")
+    assert [handle.visible for handle in handles] == shown and not any(handle.disabled for handle in handles)
     assert (slider.min, slider.max) == (-0.5, 1.2)
     wait_for(lambda: len(plot.data[1]) > 5 and np.isfinite(plot.data[1][-1]), "estimated error")
     times, found, requested = plot.data[:3]
