@@ -6,6 +6,7 @@ import copy
 import time
 from collections.abc import Callable, Iterator
 from fractions import Fraction
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -145,7 +146,9 @@ class Engine:
         self._grid = StepGrid(self.step)
         self._timetable = Timetable(rows, self._grid, motions)
         self._warnings = Warnings(quiet)
-        self.inputs = Inputs(self.layout, self._grid, self._work.targets, self._present, self._warnings.late)
+        self.inputs = Inputs(
+            self.layout, self._grid, self._work.targets, partial(getattr, self, "now"), self._warnings.late
+        )
         self.events = JointEvents(self.layout, self._switching)
         self._start = initial_state(self.layout.centred)
         self._block, self._halted = FIRST_BLOCK, False
@@ -573,9 +576,6 @@ class Engine:
             if events is not None:
                 switching.take_log(events)
 
-    def _present(self):
-        return self.now
-
     def change_after(self, instant):
         """First Instant after another at which an input changes, or AFTER."""
         if not (self._timetable or self.inputs.schedule):
@@ -668,10 +668,6 @@ class Engine:
         for at in times:
             self.advance_to(at)
             yield self.sample()
-
-    def instants(self, times):
-        """Instants of times in s."""
-        return map(self._grid.instant, times)
 
     def _sample(self):
         pose, twist, angles, modes = self.here()

@@ -139,15 +139,11 @@ class Comparison:
         if self.agrees:
             return "The measurements agree with the model: what is left is noise."
         if self._is_noise:
-            at_once, longer = (
-                max(s.times[-1] - s.start for s in self.fit.runs.segments(each.point))
-                for each in (solution, self.fit.further)
-            )
-            worst = max(channel_fits(self.fit, self.fit.further), key=lambda channel: channel.chi / channel.limit)
-            return (
-                f"The measurements agree with the model for {at_once:.3g} s at a time, but not for {longer:.3g} s: "
-                f"{worst.name} is {worst.chi:.3g} times its noise off then (rms {worst.rms:.3g})."
-            )
+            further, runs = self.fit.further, self.fit.runs
+            spans = [max(s.times[-1] - s.start for s in runs.segments(each.point)) for each in (solution, further)]
+            worst = max(channel_fits(self.fit, further), key=lambda channel: channel.chi / channel.limit)
+            only = "The measurements agree with the model for {:.3g} s at a time, but not for {:.3g} s: ".format(*spans)
+            return f"{only}{worst.name} is {worst.chi:.3g} times its noise off then (rms {worst.rms:.3g})."
         text = "" if solution.converged else "The fit of the starts did not converge. "
         if worst.chi > worst.limit:
             text += f"{worst.name} is {worst.chi:.3g} times its noise off (rms {worst.rms:.3g})."

@@ -155,9 +155,9 @@ def _run(args):
         due = (simulation.instant_inside(min(k * every, steps), 0) for k in range(1, count + 1))
     else:
         count, times, end = asked
-        due = simulation.instants(times)
+        due = (simulation.instant_of(round(time * 1e9)) for time in times)
         steps, every = (
-            next(simulation.instants([end])).step,
+            simulation.instant_of(round(end * 1e9)).step,
             None if args.rate is None else steps_per_sample(args.rate, step),
         )
     samples = 1 + count
