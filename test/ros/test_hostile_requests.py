@@ -82,11 +82,20 @@ def call(client, process, name, *request):
     assert cpu_seconds(process) - before < FROZEN, (name, request)
 
 
+def discovered(client, ask, least):
+    """[(name, types)] of services or topics of the node, when there are more than `least`."""
+
+    def found():
+        known = NODE[1:] in client.node.get_node_names() and ask(NODE[1:], "/")
+        return known if known and len(known) > least else None
+
+    return client.until(found, "discovery")
+
+
 def test_no_request_ends_or_freezes_the_node(client, besieged):
     process, folder = besieged
     messages = Messages(np.random.default_rng(11), texts(folder / "canary", NAMES))
-    services = client.node.get_service_names_and_types_by_node(NODE[1:], "/")
-    assert len(services) > 15
+    services = discovered(client, client.node.get_service_names_and_types_by_node, 15)
     memory = most_memory(process)
     for name, (kind, *_) in services:
         service = of_type(kind)
@@ -109,7 +118,7 @@ def test_no_message_ends_or_freezes_the_node(client, besieged):
     messages = Messages(np.random.default_rng(12), texts(folder / "canary", NAMES))
     topics = [
         (name, kinds[0])
-        for name, kinds in client.node.get_subscriber_names_and_types_by_node(NODE[1:], "/")
+        for name, kinds in discovered(client, client.node.get_subscriber_names_and_types_by_node, 5)
         if name.startswith(NODE)
     ]
     assert len(topics) >= 6
