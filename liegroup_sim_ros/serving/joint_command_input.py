@@ -17,18 +17,13 @@ from liegroup_sim_ros.messages.commands import JointStateDecoder, decode_array
 from liegroup_sim_ros.numbers import counted
 
 from .counted_input import LONGEST_NAME
-from .joint_input import JointInput
+from .joint_input import OF_JOINTS, JointInput
 
 OLDEST = 1.0  # s; largest age of the stamp of a command without a duration
 SOURCE = "joint_commands"
 INTERFACES = ("position", "velocity", "effort")  # in the order of a JointState
 REASONS = (
-    "not_finite",
-    "wrong_length",
-    "unknown_joint",
-    "no_coordinate",
-    "repeated_joint",
-    "no_servo",
+    *OF_JOINTS,
     "no_position",
     "jump_too_large",
     "beyond_limits",

@@ -11,6 +11,9 @@ from liegroup_sim_ros.messages.commands import joint_labels
 
 from .counted_input import LONGEST_NAME, CountedInput
 
+# Reasons of refusals of all inputs with joint names.
+OF_JOINTS = ("not_finite", "wrong_length", "unknown_joint", "no_coordinate", "repeated_joint", "no_servo")
+
 
 class Jumps(NamedTuple):
     """Limit on the distance between a commanded position and the present position of its joint.

@@ -11,16 +11,11 @@ from liegroup_sim_ros.messages.commands import decode_trajectory
 from liegroup_sim_ros.numbers import counted
 
 from .counted_input import bounded
-from .joint_input import JointInput
+from .joint_input import OF_JOINTS, JointInput
 from .trajectory import Waypoints
 
 REASONS = (
-    "not_finite",
-    "wrong_length",
-    "unknown_joint",
-    "no_coordinate",
-    "repeated_joint",
-    "no_servo",
+    *OF_JOINTS,
     "no_points",
     "wrong_times",
     "moving_at_end",

@@ -58,9 +58,10 @@ class Lead:
         """Whether there is a lead, else it starts at the caller's state."""
         return self._control.leads[0] != 0.0
 
-    def time(self, first, last):
-        """(whole steps, s after them) in two fields of the control; zeros without a lead."""
-        return tuple(self._control.part_of(first, last).tolist()) if self.known else (0.0, 0.0)
+    @property
+    def time(self):
+        """(whole steps, s after them); zeros without a lead."""
+        return tuple(self._control.part_of("base", "lead").tolist()) if self.known else (0.0, 0.0)
 
     def go_back(self):
         """Continue from the caller's state."""

@@ -140,7 +140,7 @@ class MuntheKaas:
     @property
     def lead(self):
         """(whole steps, s after them) that the integration has reached."""
-        return self._lead.time("base", "lead")
+        return self._lead.time
 
     def has_others(self, external):
         """Whether the integration ran ahead with other inputs, or another time at which they change."""
