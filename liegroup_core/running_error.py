@@ -45,7 +45,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from liegroup_core.compiling import SameTypes
+from liegroup_core.compiling import SameTypes, warm_up
 from liegroup_core.engine import BAUMGARTE_STEPS, Engine
 from liegroup_core.error_estimate import UNPREDICTABLE, ErrorEstimate
 from liegroup_core.errors import SimulationError
@@ -115,6 +115,7 @@ class RunningError:
         if by_work:
             for integrator, bits in zip(self.integrators, (0, BITS)):
                 integrator.follow_accuracy(self.size, bits)
+            warm_up(self._touch)
         n = len(engine.layout.body_names)
         self.estimate = ErrorEstimate(n, self.size, ratio, order, least)
         # Pose from which the motion of bodies is measured, and distances between two meetings.
@@ -125,6 +126,12 @@ class RunningError:
         self._compare()  # compiles it, as does the next call
         self._watch_motion()
         self.restart()
+
+    def _touch(self):
+        """Call the kernel that runs ahead once, so that it is not compiled during a run."""
+        for engine in (self.engine, self._companion):
+            engine._integrate(engine.now, engine.step, 0, engine.now)
+            engine._integrator.restart()
 
     def _make_companion(self, step, looser):
         """Engine of the same method with another step, and looser tolerances of error control."""
