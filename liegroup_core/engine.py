@@ -89,8 +89,8 @@ class Engine:
     events : JointEvents, of stops and dry friction
 
     The integration has reached a base: the end of a step, or a change of the inputs within one. An Engine stands there
-    or at any later time of that step, `now`. The state there is a function of what was integrated, and computed when it
-    is first asked for; the run does not depend on that.
+    or later, `now`: within that step or, with a method that runs ahead, as far as that has come. The state there is a
+    function of what was integrated, and computed when it is first asked for; the run does not depend on that.
 
     Orders: test/verification/test_orders.py; constraint residuals: test_heavy_top.py.
     """
@@ -142,6 +142,7 @@ class Engine:
         self._switching = getattr(self._integrator, "switching", None)
         self._stop_at = getattr(self._integrator, "stop_at", None)
         self._work.clock.step_size[0], self._limited = self.step, False
+        self._prepared = self._served = -1  # changes of the inputs at the last integration, and steps that it passed
         rows, motions = self.layout.model.forces.applied_wrench, self.layout.motions.values()
         self._grid = StepGrid(self.step)
         self._timetable = Timetable(rows, self._grid, motions)
@@ -237,7 +238,7 @@ class Engine:
         self._work.report[LARGEST_TURN] = 0.0
         self._pose, self._twist = pose, twist
         self.base = self.now = instant
-        self._here = None
+        self._here, self._served = None, -1
         self.inputs.clear()
         self._integrator.restart()
 
@@ -246,6 +247,7 @@ class Engine:
 
         instant : of this engine, for the other one's base; None: at the same time
         """
+        other.settle()
         same = self._grid.like(other._grid, other.base) if instant is None else instant
         self._start_at(other._pose.copy(), other._twist.copy(), same, other._work.angle)
         self._modes = other._modes
@@ -276,6 +278,7 @@ class Engine:
         self._remember(memory)
 
     def _remember(self, memory):
+        self._served = -1
         for mine, array in zip(self._integrator.memory, memory):
             mine[...] = array
 
@@ -291,7 +294,7 @@ class Engine:
     @property
     def steps(self) -> int:
         """Number of whole steps since the start or the last reset."""
-        return self.base.step
+        return self.now.step
 
     @steps.setter
     def steps(self, steps):
@@ -336,6 +339,10 @@ class Engine:
     def settle(self):
         """Integrate as far as the present state needs, whether it was asked for or not: so equal states are equal."""
         with contextlib.suppress(SimulationError):  # raised when the state is asked for
+            if self.base.step < self.now.step:
+                now = self.now
+                self._integrate_to(self._grid.boundary(now.step))
+                self._stand(self.base, now)
             self.here()
 
     @property
@@ -374,7 +381,12 @@ class Engine:
 
     def covers_step(self, steps):
         """Whether the integration has reached a step count already."""
-        return self.runs_ahead and self._integrator.lead >= (steps, 0.0)
+        return self._has_reached(self._grid.boundary(steps))
+
+    def _has_reached(self, instant):
+        """Whether a method that runs ahead has come to an Instant with the inputs that act now."""
+        lead = self._integrator.lead if self._prepared == self.inputs.changes and self.runs_ahead else (0.0, 0.0)
+        return lead >= self._grid.parts(instant)
 
     def limit_substeps(self, longest, longer=0.0):
         """Set the longest substep in s of a method with error control; call it at the start.
@@ -382,6 +394,12 @@ class Engine:
         longer : of a companion with given tolerances, ratio of its substeps to those of the simulation
         """
         self._integrator.limit(longest, longer)
+
+    def choose(self, number):
+        """Continue with another of the integrator's methods, by its number."""
+        self.settle()
+        self._integrator.choose(number)
+        self._served = -1
 
     def halt(self) -> None:
         """End an `advance` of another thread after its last valid step, within a few ms."""
@@ -431,9 +449,10 @@ class Engine:
             self._go_on()
         if instant.step >= NEVER:
             raise ValueError(f"a run has {NEVER - 1} steps at most: take a larger step than {self.step:g} s")
-        if instant == self.base:
-            self.inputs.update(instant)
+        stands = instant == self.now
         self._go(instant, enough)
+        if stands and instant == self.base:
+            self.inputs.update(instant)
 
     def _instant(self, time):
         """Instant of a time in s that is not before the present one. Raises ValueError."""
@@ -447,8 +466,19 @@ class Engine:
             raise ValueError(f"the time {instant.time:.9g} s is before the present one, {self.time:.9g} s")
         return instant
 
+    def serves(self, step):
+        """Whether the integration has passed a step, and no input changes up to its end."""
+        return step < self._served and self._prepared == self.inputs.changes
+
     def _go(self, until, enough=None):
-        """Advance to an Instant: in whole steps and, between changes of the inputs within them, in parts of steps."""
+        """Advance to an Instant."""
+        if self.serves(until.step):
+            self.now, self._here = until, None
+        else:
+            self._integrate_to(until, enough)
+
+    def _integrate_to(self, until, enough=None):
+        """Advance in whole steps and, between changes of the inputs within them, in parts of steps."""
         self._warnings.begin()
         while self.base < until:
             stop, steps, changed = self._next_stop(until)
@@ -458,10 +488,11 @@ class Engine:
             began = time.perf_counter() if steps == self._block else 0.0
             done, status = self._take(stop, steps)
             if done:
-                base = stop if done >= steps else self._grid.boundary(self.steps + done)
-                self._stand(base, base)
+                base = stop if done >= steps else self._grid.boundary(self.base.step + done)
+                self._stand(base, max(base, self.now))
             if status == OK:
-                self.inputs.apply(stop, changed)
+                if changed:
+                    self.inputs.apply(stop, changed)
                 if self.base >= until:
                     break
             if self._halted:
@@ -521,8 +552,21 @@ class Engine:
         if self.now == self.base:
             return self._pose, self._twist, self._work.angle, None
         if self._here is None:
-            self._here = self._interpolated() or self._stepped()
+            self._here = self._inside() or self._interpolated() or self._stepped()
         return self._here
+
+    def _inside(self):
+        """`here` from the last substep; None: the integration has not come to the present time."""
+        if not self._has_reached(self.now):
+            return None
+        work, pose, twist = self._work, np.empty_like(self._pose), np.empty_like(self._twist)
+        clock, angles, modes = work.clock, work.angle.copy(), [array.copy() for array in self._modes]
+        clock.to_step[0], clock.until[0] = self._grid.parts(self.now)
+        status = self._integrator.inside(pose, twist, self.inputs.external)
+        found = pose, twist, work.angle.copy(), self._switching and self._switching.present_modes()
+        work.angle[:], self._modes = angles, modes
+        self._checked(status)
+        return found
 
     def _interpolated(self):
         """`here` from the integration that runs ahead, up to the present time; None: not from it, as near an event."""
@@ -560,7 +604,7 @@ class Engine:
     def _aside(self, parts=None):
         """Return to the present state afterwards, with all that was logged and counted; parts : of KEPT, None: all."""
         inputs, switching = self.inputs, self._switching
-        before, held, here = kept(self, parts), inputs.held(), self._here
+        before, held, stood = kept(self, parts), inputs.held(), (self.base, self.now, self._here)
         log, inputs.log = inputs.log, None
         spent = getattr(self._integrator, "spent", None)
         events = None if switching is None else switching.log()
@@ -570,7 +614,7 @@ class Engine:
             if spent is not None:
                 self._integrator.spent = spent
             set_kept(self, before)
-            self._here = here
+            self.base, self.now, self._here = stood
             inputs.give_back(held)
             inputs.log = log
             if events is not None:
@@ -606,11 +650,14 @@ class Engine:
         returns (steps done, status)
         """
         self._prepare(start, h, end)
-        return self._integrator.advance(h, steps, self._pose, self._twist, self.inputs.external)
+        found = self._integrator.advance(h, steps, self._pose, self._twist, self.inputs.external)
+        self._served = min(self._integrator.lead[0], self.inputs.schedule.next.step) if self.runs_ahead else -1
+        return found
 
     def _prepare(self, start, h, end):
         """Set the inputs and times of steps of size h from an Instant to another."""
         self._set_inputs(start, h)
+        self._prepared = self.inputs.changes
         clock = self._work.clock
         clock.from_step[0], clock.since[0] = self._grid.parts(start)
         clock.to_step[0], clock.until[0] = self._grid.parts(end)
@@ -629,7 +676,7 @@ class Engine:
             # The middle is away from all changes: round-off has no influence.
             work.motions[:] = self.layout.motions_at(time + 0.5 * h, self.inputs.commanded)
         clock, whole = work.clock, h == self.step and not start.offset
-        clock.count[0], clock.offset[0], clock.now[0] = (self.steps, 0.0, time) if whole else (0.0, time, time)
+        clock.count[0], clock.offset[0], clock.now[0] = (start.step, 0.0, time) if whole else (0.0, time, time)
 
     def set_inputs_from(self, instant):
         """Set the time-dependent inputs that hold from an Instant on: a motion may have knots within the step."""

@@ -29,6 +29,7 @@ class Inputs:
     commanded : (d, 7) commanded motions of driven joints, or FROM_SCENE
     schedule  : Schedule
     known_end : Instant at which the first of the commands that act ends, as it was given
+    changes   : number of changes of what acts or waits
     follower  : Inputs of another Engine that takes all commands, too, or None
     log       : [Command] since they were last taken; None: not logged
     """
@@ -42,7 +43,7 @@ class Inputs:
         self.schedule = Schedule(len(self._bodies), target_values(layout.model.forces), len(self._drives))
         self.external, self.targets = no_wrenches(layout.offsets), targets
         self.commanded = self.schedule.total[DRIVE].copy()
-        self.follower, self.log = None, []
+        self.follower, self.log, self.changes = None, [], 0
 
     def clear(self):
         """Discard all commands: servos and driven joints follow the scene."""
@@ -55,6 +56,7 @@ class Inputs:
 
     def give_back(self, held):
         """Return to what `held` gave."""
+        self.changes += 1
         schedule, self.known_end, self.external[:], self.targets[:], self.commanded[:] = held
         self.schedule.give_back(schedule)
 
@@ -64,6 +66,7 @@ class Inputs:
         self.known_end = AFTER
 
     def _take_totals(self):
+        self.changes += 1
         self.external[:] = no_wrenches(self._layout.offsets)
         for axes in (BODY, IN_WORLD, LEVERS):
             total = self.schedule.total[axes]
@@ -118,6 +121,7 @@ class Inputs:
 
     def _insert(self, command, begin, end):
         """Take a Command from an Instant on, up to another one."""
+        self.changes += 1
         command = command._replace(
             start_ns=self._grid.mark(begin), end_ns=None if end == AFTER else self._grid.mark(end)
         )
@@ -401,6 +405,7 @@ class Inputs:
     def apply(self, instant, changed):
         """Let the totals [(number, axes)] of the schedule act from an Instant on."""
         self._note_ends()
+        self.changes += len(changed)
         for number, axes in changed:
             total = self.schedule.total[axes][number]
             if axes == SERVO:

@@ -84,6 +84,7 @@ class RunningError:
 
     estimate : ErrorEstimate
     lost     : cause of an infinite estimate, in words
+    calm_until : step before which `update` has nothing to do
     """
 
     KEPT = (
@@ -186,8 +187,15 @@ class RunningError:
 
     def update(self):
         """Advance the companion to the present step if they can meet, and estimate the error."""
+        self._meet_at(steps := self.engine.steps)
+        self.calm_until = 0
+        if self._by_work and self.begun and self._alive:
+            other = self._companion
+            enough = max(other.steps + self._lag, int(other._integrator.lead[0]) + 1)
+            self.calm_until = min(enough, self._next, (steps // self._look + 1) * self._look)
+
+    def _meet_at(self, steps):
         engine = self.engine
-        steps = engine.steps
         # Between checkpoints the companion only advances, which spreads its work.
         between = self._by_work and self.begun and steps != self._next
         follows = between and self._companion.changes_before(steps)
@@ -387,7 +395,7 @@ class RunningError:
 
     def restored(self):
         """Continue after `set_kept`, at the same state of the engine."""
-        self._seen_at = None
+        self._seen_at, self.calm_until = None, 0
         self._lead()
 
     def _lead(self):

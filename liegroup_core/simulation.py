@@ -321,7 +321,7 @@ class Simulation(Engine):
 
     def _go(self, until, enough=None):
         running = self._running
-        if running is None:
+        if running is None or (until.step < running.calm_until and self.serves(until.step)):
             super()._go(until, enough)
             return
         if not running.begun:

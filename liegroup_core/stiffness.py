@@ -111,8 +111,8 @@ class MethodChoice:
         if most > 0:
             other = self._cost(1 - chosen, most, steps)
             if other < WORTH * present:
-                for integrator in self._integrators:
-                    integrator.choose(1 - chosen)
+                self._engine.choose(1 - chosen)
+                self._companion.choose(1 - chosen)
         self._waiting = self._wait * (self._spent[1] - before)
         self._wait = min(WAIT, 2.0 * self._wait)
         self._continue()
@@ -136,7 +136,7 @@ class MethodChoice:
         self._companion.inputs.freeze()  # a repeated run knows commands earlier
         integrator.passes = False
         integrator.limit_attempts(most / steps)
-        integrator.choose(number)
+        self._companion.choose(number)
         try:
             self._companion.advance(steps)
             part = 1.0
@@ -146,5 +146,5 @@ class MethodChoice:
             integrator.limit_attempts()
             integrator.passes = passes
             self._companion.restore(kept)
-            integrator.choose(chosen)
+            self._companion.choose(chosen)
         return (self._spent[1] - before) / part if part > 0.0 else math.inf

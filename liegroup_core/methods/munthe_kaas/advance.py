@@ -237,6 +237,19 @@ def reach(model, work, scheme, steps, pose_in, twist_in, external_in, control):
     return steps, failed
 
 
+@stepper
+def inside(model, work, scheme, pose_in, twist_in, external_in, control):
+    """Set pose (n, 12), twist (n, 6), angles and coordinates to the end of the call, in the kept substep. A status."""
+    pose, twist, external, status = enter(model, work, work.pose, work.twist, borrowed(external_in))
+    if status == OK:
+        status = _go_inside(model, work, scheme, control, external)
+    if status == OK:
+        set_turns(work, work.kept_angle, work.kept_coordinates)
+        count_turns(model, work)
+        place(model, work, borrowed(pose_in), borrowed(twist_in))
+    return status
+
+
 @kernel
 def _go_ahead(model, work, scheme, steps, pose, twist, external, control):
     """Take substeps until the lead is at the end of the call or after it. Returns a status."""

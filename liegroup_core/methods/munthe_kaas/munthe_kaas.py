@@ -24,7 +24,7 @@ from liegroup_core.methods.table import EXACT
 from liegroup_core.status import DEPENDENT_ROWS, EVENT, OK, SUBSTEP_TOO_SMALL, TOO_MANY_SUBSTEPS
 
 from . import explicit
-from .advance import advance, advance_controlled, reach
+from .advance import advance, advance_controlled, inside, reach
 from .ahead import Lead
 from .control import SubstepControl
 from .error_control import ROUNDING
@@ -72,7 +72,7 @@ class MuntheKaas:
         else:
             highest = max(method.order - 2, 0) if self._truncated else EXACT
             scheme = explicit.make_scheme(method.tableau, highest, method.name == RUNS_AHEAD)
-        self._methods.append((scheme, [SameTypes(each) for each in (advance, advance_controlled, reach)], looser))
+        self._methods.append((scheme, [SameTypes(each) for each in (advance, advance_controlled, reach, inside)], looser))
         self.tighten(self._part)
 
     @property
@@ -150,6 +150,11 @@ class MuntheKaas:
         now = external, work.targets, work.motions, work.acting
         then = work.lead_external, work.lead_targets, work.lead_motions, work.lead_acting
         return any((one != other).any() for one, other in zip(now, then) if len(one))
+
+    def inside(self, *state):
+        """Set pose, twist, angles and coordinates of switches to the caller's time, up to which it ran; a status."""
+        scheme, (*_, show), _ = self._methods[self.chosen]
+        return show(self._model, self._work, scheme, *state, self._control)
 
     def _set_ahead(self):
         ahead = self._may_run_ahead and len(self._methods[self.chosen][0].inside) > 0
@@ -291,7 +296,7 @@ class MuntheKaas:
 
     def _take(self, h, steps, pose, twist, external, controlled=True):
         """Take steps, ahead if it runs so; controlled : False: without error control."""
-        scheme, (plain, within, ahead), _ = self._methods[self.chosen]
+        scheme, (plain, within, ahead, _), _ = self._methods[self.chosen]
         parts, state = (self._model, self._work, scheme), (pose, twist, external)
         if not (self.controlled and controlled):
             return plain(*parts, h, steps, *state)
