@@ -516,9 +516,14 @@ class Engine:
         (None, 0, ()) : `until` is before the next one. 0 steps : a part of a step
         """
         base, grid, schedule = self.base, self._grid, self.inputs.schedule
+        self.inputs.update(base)
+        if self._switching is None and self.runs_ahead:
+            stop, longest = min(self.change_after(base), until), base.step + self._block
+            if stop == until or stop.step >= longest:
+                stop = grid.boundary(min(stop.step, longest))
+            return (stop, stop.step - base.step + (stop.offset > 0), ()) if stop > base else (None, 0, ())
         change, inside = self._timetable.next_change(base.step), self._timetable.inside(base.step)
         if schedule:
-            self.inputs.update(base)
             change = min(change, schedule.next_change(base.step))
             inside = {*inside, *schedule.inside(base.step)}
         for instant in sorted(each for each in inside if base < each < until) if inside else ():

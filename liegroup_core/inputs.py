@@ -400,7 +400,8 @@ class Inputs:
 
     def update(self, instant):
         """Set the totals that act from an Instant on."""
-        self.apply(instant, self.schedule.update(instant))
+        if not instant < self.schedule.next:
+            self.apply(instant, self.schedule.update(instant))
 
     def apply(self, instant, changed):
         """Let the totals [(number, axes)] of the schedule act from an Instant on."""

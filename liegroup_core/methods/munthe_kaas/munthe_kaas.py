@@ -254,17 +254,17 @@ class MuntheKaas:
     def _pass(self, h, steps, pose, twist, external):
         """Take steps, with larger tolerances where that is allowed and needed."""
         clock = self._work.clock
-        end = clock.to_step[0]
+        times = clock.part_of("from_step", "until")
+        end = times[2:].copy()
         done, status = self._take(h, steps, pose, twist, external)
         if not (self.passes and status & 0xFF in TOO_TIGHT):
             return done, status
-        first, begin = clock.count[0], clock.from_step[0]
-        whole = clock.since[0] == clock.until[0] == 0.0  # not a part of a step
+        first, begin = clock.count[0], times[:2].copy()
 
         def go_on(count):
             clock.count[0] = first + done
-            if whole:
-                clock.from_step[0], clock.to_step[0] = begin + done, begin + done + count
+            times[:2] = (begin[0] + done, 0.0) if done else begin
+            times[2:] = (begin[0] + done + count, 0.0) if done + count < steps else end
             return self._take(h, count, pose, twist, external)
 
         # A halt, which sets MOST to 0 from another thread, is no reason for a larger tolerance.
@@ -288,7 +288,7 @@ class MuntheKaas:
             if done < steps:
                 more, status = go_on(steps - done)
                 done += more
-        clock.count[0], clock.from_step[0], clock.to_step[0] = first, begin, end
+        clock.count[0], times[:2], times[2:] = first, begin, end
         return done, status
 
     def _step(self, h, steps, pose, twist, external):
