@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from liegroup_core.compiling import warm_up
 from liegroup_core.errors import SimulationError
 from liegroup_core.fields.arguments import finite, floats, got, is_count, is_finite
-from liegroup_core.forces.instants import AFTER, LATEST, NEVER, StepGrid
+from liegroup_core.forces.instants import AFTER, LATEST, NEVER, NOT_AHEAD, StepGrid
 from liegroup_core.forces.timetable import Timetable, just_after
 from liegroup_core.inputs import Inputs
 from liegroup_core.joint_events import JointEvents
@@ -95,7 +95,7 @@ class Engine:
     Orders: test/verification/test_orders.py; constraint residuals: test_heavy_top.py.
     """
 
-    MOTION: tuple[str, ...] = ("_pose", "_twist", "steps", "_offsets", "_angles", "_memory", "_modes")
+    MOTION: tuple[str, ...] = ("_pose", "_twist", "_steps", "_offsets", "_angles", "_memory", "_modes")
     KEPT: tuple[str, ...] = (*MOTION, "inputs")
 
     apply_wrench = method_of("inputs", Inputs.apply_wrench)
@@ -301,17 +301,20 @@ class Engine:
         self.base = self.now = self._grid.boundary(steps)
         self._here = None
 
+    _steps = property(lambda self: self.base.step, steps.fset)
+
     @property
     def _offsets(self):
-        """Where the base and `now` are within their step: numerators and denominators."""
-        return (*Fraction(self.base.offset).as_integer_ratio(), *Fraction(self.now.offset).as_integer_ratio())
+        """Where the base and `now` are from the start of the base's step on: numerators and denominators."""
+        begin = self._grid.boundary(self._steps)
+        return tuple(n for at in (self.base, self.now) for n in Fraction(self._grid.since(begin, at)).as_integer_ratio())
 
     @_offsets.setter
     def _offsets(self, offsets):
         base, now = (Fraction(*offsets[k : k + 2]) if offsets[k + 1] else -1 for k in (0, 2))
-        if not self._grid.has(base) or not self._grid.has(now):
+        if not (self._grid.has(base) and base <= now):
             raise ValueError("the snapshot must have times within its step")
-        self._stand(self._grid.at(self.steps, base), self._grid.at(self.steps, now))
+        self._stand(self._grid.at(self._steps, base), self._grid.at(self._steps, now))
 
     def state(self) -> tuple[Floats, Floats]:
         """Copies of the integrator's pose (n, 12) and twist (n, 6), for `set_state`.
@@ -385,8 +388,12 @@ class Engine:
 
     def _has_reached(self, instant):
         """Whether a method that runs ahead has come to an Instant with the inputs that act now."""
-        lead = self._integrator.lead if self._prepared == self.inputs.changes and self.runs_ahead else (0.0, 0.0)
-        return lead >= self._grid.parts(instant)
+        return self._prepared == self.inputs.changes and self.lead >= self._grid.parts(instant)
+
+    @property
+    def lead(self):
+        """(whole steps, s after them) to which a method has run ahead."""
+        return getattr(self._integrator, "lead", NOT_AHEAD)
 
     def limit_substeps(self, longest, longer=0.0):
         """Set the longest substep in s of a method with error control; call it at the start.
@@ -562,7 +569,7 @@ class Engine:
 
     def _inside(self):
         """`here` from the last substep; None: the integration has not come to the present time."""
-        if not self._has_reached(self.now):
+        if not (self.serves(self.now.step) or self._has_reached(self.now)):
             return None
         work, pose, twist = self._work, np.empty_like(self._pose), np.empty_like(self._twist)
         clock, angles, modes = work.clock, work.angle.copy(), [array.copy() for array in self._modes]
@@ -656,7 +663,7 @@ class Engine:
         """
         self._prepare(start, h, end)
         found = self._integrator.advance(h, steps, self._pose, self._twist, self.inputs.external)
-        self._served = min(self._integrator.lead[0], self.inputs.schedule.next.step) if self.runs_ahead else -1
+        self._served = min(self.lead[0], self.inputs.schedule.next.step)
         return found
 
     def _prepare(self, start, h, end):

@@ -80,7 +80,7 @@ class Warnings:
                 else "If the mechanism only passes this configuration, use stabilisation projection. ",
             )
         if report[NEAR_SOLVES] and not report[SINGULAR_SOLVES] and self._is_new("near"):
-            steps, more = engine._integrator.lead if engine.runs_ahead else (0, 0.0)
+            steps, more = engine.lead
             log.warning(
                 "Before t = %g s a closed loop passes a singular configuration, or 0.1 rad beside one: two "
                 "motions satisfy its joints there. The run goes straight on; small differences decide for a machine",

@@ -191,7 +191,7 @@ class RunningError:
         self.calm_until = 0
         if self._by_work and self.begun and self._alive:
             other = self._companion
-            enough = max(other.steps + self._lag, int(other._integrator.lead[0]) + 1)
+            enough = max(other.steps + self._lag, int(other.lead[0]) + 1)
             self.calm_until = min(enough, self._next, (steps // self._look + 1) * self._look)
 
     def _meet_at(self, steps):

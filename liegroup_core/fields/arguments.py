@@ -20,7 +20,7 @@ def is_finite(value):
 
 def is_count(value):
     """True for a whole number, 0 or more."""
-    return isinstance(value, Integral) and not isinstance(value, bool) and value >= 0
+    return isinstance(value, (int, Integral)) and not isinstance(value, bool) and value >= 0
 
 
 def got(value):

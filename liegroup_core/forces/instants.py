@@ -19,6 +19,7 @@ import numpy as np
 
 NS = 10**9  # in a second
 NEVER = 1 << 62  # a step that is never reached
+NOT_AHEAD = (-1.0, 0.0)  # whole steps and s after them, of a method that does not run ahead
 # Decimal times and n * step are each rounded, by about half a unit in the last place.
 ROUNDING = 4.0 * np.finfo(float).eps
 LATEST = 9.2e9  # s; later stamps do not fit into 64 bits
@@ -78,7 +79,9 @@ class StepGrid:
         return 0 <= offset < self._size
 
     def at(self, step, offset):
-        """Instant of an exact offset within a step, in the unit of offsets."""
+        """Instant of an exact offset from the start of a step, in the unit of offsets."""
+        whole, offset = divmod(offset, self._size)
+        step += whole
         if offset == 0:
             return self.boundary(step)
         time = Fraction(step * self._size + offset, self._parts * NS)
@@ -95,10 +98,11 @@ class StepGrid:
 
     def between(self, begin, end):
         """Time in s between two Instants, rounded once; inf to AFTER."""
-        if end.step >= NEVER:
-            return math.inf
-        passed = (end.step - begin.step) * self._size + end.offset - begin.offset
-        return float(passed / (self._parts * NS))
+        return math.inf if end.step >= NEVER else float(self.since(begin, end) / (self._parts * NS))
+
+    def since(self, begin, end):
+        """Exact time from one Instant to another, in the unit of offsets."""
+        return (end.step - begin.step) * self._size + end.offset - begin.offset
 
     def parts(self, instant):
         """(whole steps, s after them, rounded once) of an Instant; (inf, 0.0) of none."""

@@ -27,6 +27,7 @@ import numpy as np
 import scipy
 
 from liegroup_core.compiling import kernel
+from liegroup_core.forces.instants import NOT_AHEAD
 from liegroup_core.mechanism.arrays import COORDINATE
 from liegroup_core.mechanism.bodies import copy_state
 
@@ -60,8 +61,11 @@ class Lead:
 
     @property
     def time(self):
-        """(whole steps, s after them); zeros without a lead."""
-        return tuple(self._control.part_of("base", "lead").tolist()) if self.known else (0.0, 0.0)
+        """(whole steps, s after them), or NOT_AHEAD."""
+        control = self._control
+        if control.leads[0] == 0.0 or control.ahead[0] == 0.0:
+            return NOT_AHEAD
+        return control.base.item(), control.lead.item()
 
     def go_back(self):
         """Continue from the caller's state."""

@@ -254,12 +254,12 @@ class MuntheKaas:
     def _pass(self, h, steps, pose, twist, external):
         """Take steps, with larger tolerances where that is allowed and needed."""
         clock = self._work.clock
-        times = clock.part_of("from_step", "until")
-        end = times[2:].copy()
+        end = clock.to_step.item(), clock.until.item()
         done, status = self._take(h, steps, pose, twist, external)
         if not (self.passes and status & 0xFF in TOO_TIGHT):
             return done, status
-        first, begin = clock.count[0], times[:2].copy()
+        first, times = clock.count[0], clock.part_of("from_step", "until")
+        begin = times[:2].copy()
 
         def go_on(count):
             clock.count[0] = first + done
