@@ -278,7 +278,7 @@ class Engine:
         self._remember(memory)
 
     def _remember(self, memory):
-        self._served = -1
+        self._served = self._prepared = -1
         for mine, array in zip(self._integrator.memory, memory):
             mine[...] = array
 
@@ -306,8 +306,9 @@ class Engine:
     @property
     def _offsets(self):
         """Where the base and `now` are from the start of the base's step on: numerators and denominators."""
-        begin = self._grid.boundary(self._steps)
-        return tuple(n for at in (self.base, self.now) for n in Fraction(self._grid.since(begin, at)).as_integer_ratio())
+        grid = self._grid
+        passed = [Fraction(grid.since(grid.boundary(self._steps), at)) for at in (self.base, self.now)]
+        return passed[0].as_integer_ratio() + passed[1].as_integer_ratio()
 
     @_offsets.setter
     def _offsets(self, offsets):
@@ -588,19 +589,15 @@ class Engine:
         pose, twist, angles = self._pose.copy(), self._twist.copy(), self._work.angle.copy()
         h, modes = self._grid.between(base, now), [array.copy() for array in self._modes]
         self._prepare(base, h, now)
-        memory = None
-        changes = self._timetable or self.inputs.schedule
-        if integrator.lead < self._grid.parts(now) or (changes and integrator.has_others(external)):
-            memory, spent = [array.copy() for array in integrator.memory], integrator.spent
+        memory, spent = [array.copy() for array in integrator.memory], integrator.spent
         _, status = integrator.look_ahead(h, pose, twist, external)
         found = pose, twist, self._work.angle.copy(), self._switching and self._switching.present_modes()
         self._work.angle[:], self._modes = angles, modes
         if status == OK:
             return found
-        if memory is not None:  # the run will meet what was met here
-            integrator.clear()
-            self._remember(memory)
-            integrator.spent = spent
+        integrator.clear()  # the run will meet what was met here
+        self._remember(memory)
+        integrator.spent = spent
         return None
 
     def _stepped(self):

@@ -35,6 +35,7 @@ RUNS_AHEAD = "rkmk853"  # method that runs ahead, to an accuracy
 # If no substep meets the tolerance, for example near a singular pose, a step is repeated with these multiples
 # of it. With the last one a substep is rejected only if a stage cannot be computed.
 LOOSER = (1e2, 1e4, 1e6, 1e8, 1e100)
+KERNELS = advance, advance_controlled, reach, inside
 TOO_TIGHT = (DEPENDENT_ROWS, SUBSTEP_TOO_SMALL, TOO_MANY_SUBSTEPS)
 
 
@@ -72,7 +73,7 @@ class MuntheKaas:
         else:
             highest = max(method.order - 2, 0) if self._truncated else EXACT
             scheme = explicit.make_scheme(method.tableau, highest, method.name == RUNS_AHEAD)
-        self._methods.append((scheme, [SameTypes(each) for each in (advance, advance_controlled, reach, inside)], looser))
+        self._methods.append((scheme, [SameTypes(each) for each in KERNELS], looser))
         self.tighten(self._part)
 
     @property
@@ -141,15 +142,6 @@ class MuntheKaas:
     def lead(self):
         """(whole steps, s after them) that the integration has reached."""
         return self._lead.time
-
-    def has_others(self, external):
-        """Whether the integration ran ahead with other inputs, or another time at which they change."""
-        work, control = self._work, self._control
-        if control.next_base[0] != control.limit_base[0] or control.next[0] != control.limit[0]:
-            return True
-        now = external, work.targets, work.motions, work.acting
-        then = work.lead_external, work.lead_targets, work.lead_motions, work.lead_acting
-        return any((one != other).any() for one, other in zip(now, then) if len(one))
 
     def inside(self, *state):
         """Set pose, twist, angles and coordinates of switches to the caller's time, up to which it ran; a status."""
