@@ -32,7 +32,7 @@ from liegroup_core.reports import Warnings, explain
 from liegroup_core.scene.description import Scene
 from liegroup_core.settings import SETTINGS, check_group, check_options, checked
 from liegroup_core.state import State, decoded, kept, set_kept
-from liegroup_core.status import OK
+from liegroup_core.status import EVENT, OK
 
 Floats = NDArray[np.float64]
 
@@ -348,6 +348,8 @@ class Engine:
                 self._integrate_to(self._grid.boundary(now.step))
                 self._stand(self.base, now)
             self.here()
+            if NOT_AHEAD < self.lead < self._grid.parts(self.now):
+                self._integrator.forget()  # up to an event, whose time is earlier
 
     @property
     def time(self) -> float:
@@ -595,9 +597,10 @@ class Engine:
         self._work.angle[:], self._modes = angles, modes
         if status == OK:
             return found
-        integrator.clear()  # the run will meet what was met here
-        self._remember(memory)
-        integrator.spent = spent
+        if status != EVENT:  # the run will meet what was met here
+            integrator.clear()
+            self._remember(memory)
+            integrator.spent = spent
         return None
 
     def _stepped(self):

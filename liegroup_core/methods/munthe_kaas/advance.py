@@ -73,11 +73,10 @@ def _accept_controlled(model, work, scheme, control, pose, twist):
     # First same as last: the end of a substep is stage 0 of the next one, where Psi is zero. Projection changes the
     # end, so that it must be evaluated again.
     store_slopes(model, work, scheme, 0)
-    accept(model, work, pose, twist)
     if control.coarse[0] > 0.0:
-        _coarsen(control.coarse[0], pose, twist)
-        return 0
-    return 0 if model.projects else 1
+        _coarsen(control.coarse[0], work.stage_pose, work.stage_twist)
+    accept(model, work, pose, twist)
+    return 0 if model.projects or control.coarse[0] > 0.0 else 1
 
 
 @kernel

@@ -84,10 +84,16 @@ class Lead:
 
     def _end(self):
         """There is no lead, and nothing is kept: equal states have equal snapshots."""
-        work = self._work
+        self.forget()
+        self._control.part_of("base", "due")[:] = 0.0
+
+    def forget(self):
+        """Forget the kept substep."""
+        work, control = self._work, self._control
         for array in (work.kept_pose, work.kept_twist, work.kept_slopes, work.kept_angle, work.kept_coordinates):
             array[:] = 0.0
-        self._control.part_of("base", "due")[:] = 0.0
+        for number in (control.kept_base, control.kept_lead, control.last):
+            number[0] = 0.0
 
     def call(self, begin, end):
         """Set the whole steps at which a call begins and ends."""

@@ -143,6 +143,10 @@ class MuntheKaas:
         """(whole steps, s after them) that the integration has reached."""
         return self._lead.time
 
+    def forget(self):
+        """Forget the last substep, because no state in it is needed."""
+        self._lead.forget()
+
     def inside(self, *state):
         """Set pose, twist, angles and coordinates of switches to the caller's time, up to which it ran; a status."""
         scheme, (*_, show), _ = self._methods[self.chosen]
