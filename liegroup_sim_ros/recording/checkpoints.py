@@ -29,9 +29,9 @@ class Checkpoints:
         if self._first_ns is None:
             self._first_ns = stamp_ns
         elif (
-            time.thread_time() - self._used < CPU
-            or stamp_ns - self._last_ns < SPACING
+            stamp_ns - self._last_ns < SPACING
             or (stamp_ns - self._last_ns) * MOST < stamp_ns - self._first_ns
+            or time.thread_time() - self._used < CPU
         ):
             return
         else:
