@@ -593,6 +593,7 @@ class Engine:
         self._prepare(base, h, now)
         memory, spent = [array.copy() for array in integrator.memory], integrator.spent
         _, status = integrator.look_ahead(h, pose, twist, external)
+        self._note_lead()
         found = pose, twist, self._work.angle.copy(), self._switching and self._switching.present_modes()
         self._work.angle[:], self._modes = angles, modes
         if status == OK:
@@ -663,13 +664,16 @@ class Engine:
         """
         self._prepare(start, h, end)
         found = self._integrator.advance(h, steps, self._pose, self._twist, self.inputs.external)
-        self._served = min(self.lead[0], self.inputs.schedule.next.step)
+        self._note_lead()
         return found
+
+    def _note_lead(self):
+        self._served = min(self.lead[0], self.inputs.schedule.next.step)
 
     def _prepare(self, start, h, end):
         """Set the inputs and times of steps of size h from an Instant to another."""
         self._set_inputs(start, h)
-        self._prepared = self.inputs.changes
+        self._prepared, self._served = self.inputs.changes, -1
         clock = self._work.clock
         clock.from_step[0], clock.since[0] = self._grid.parts(start)
         clock.to_step[0], clock.until[0] = self._grid.parts(end)
