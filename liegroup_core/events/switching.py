@@ -356,14 +356,15 @@ class Switching(EventTimes):
         """(k, 5) of all switches, see switches.modes_of; for a state that was set, the modes it will have."""
         if self._work.modes[0, KNOWN] != 0.0:
             return self.present_modes()
-        self._look(self._model, self._work, *state)  # the links have this state from here on
-        noted = self.events, self.impacts, self.instants, self.count, self._inputs
+        noted, known = (self.events, self.impacts, self.instants, self.count, self._inputs), self._work.known[0]
         kept, self.events, self.impacts, self.instants = self._keep(*state[:2]), [], None, None
+        self._look(self._model, self._work, *state)
         # If the state is beyond a stop, the next step reports that.
         self._meet_inputs(time, state)
         modes = self.present_modes()
         self._return(kept, *state[:2])
         self.events, self.impacts, self.instants, self.count, self._inputs = noted
+        self._work.known[0] = known
         return modes
 
     def _note(self, time, before):
