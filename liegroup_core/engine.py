@@ -343,13 +343,17 @@ class Engine:
     def settle(self):
         """Integrate as far as the present state needs, whether it was asked for or not: so equal states are equal."""
         with contextlib.suppress(SimulationError):  # raised when the state is asked for
-            if self.base.step < self.now.step:
-                now = self.now
-                self._integrate_to(self._grid.boundary(now.step))
-                self._stand(self.base, now)
+            self._catch_up()
             self.here()
             if NOT_AHEAD < self.lead < self._grid.parts(self.now):
                 self._integrator.forget()  # up to an event, whose time is earlier
+
+    def _catch_up(self):
+        """Move the base to the start of the present step, or to a change after it."""
+        if self.base.step < self.now.step:
+            now = self.now
+            self._integrate_to(self._grid.boundary(now.step))
+            self._stand(self.base, now)
 
     @property
     def time(self) -> float:
@@ -459,10 +463,11 @@ class Engine:
             self._go_on()
         if instant.step >= NEVER:
             raise ValueError(f"a run has {NEVER - 1} steps at most: take a larger step than {self.step:g} s")
-        stands = instant == self.now
+        if instant == self.now and not instant < self.inputs.schedule.next:
+            self._catch_up()
+            if instant == self.base:
+                self.inputs.update(instant)
         self._go(instant, enough)
-        if stands and instant == self.base:
-            self.inputs.update(instant)
 
     def _instant(self, time):
         """Instant of a time in s that is not before the present one. Raises ValueError."""
