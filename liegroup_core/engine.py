@@ -486,10 +486,10 @@ class Engine:
         return step < self._served and self._prepared == self.inputs.changes
 
     def _go(self, until, enough=None):
-        """Advance to an Instant."""
-        if self.serves(until.step):
+        """Advance to an Instant; nothing is done for an earlier one."""
+        if until > self.now and self.serves(until.step):
             self.now, self._here = until, None
-        else:
+        elif until > self.now:
             self._integrate_to(until, enough)
 
     def _integrate_to(self, until, enough=None):
