@@ -28,6 +28,7 @@ from liegroup_core.mechanism.spanning_tree import WORLD_NAME
 from liegroup_core.methods.table import RELATIVE
 from liegroup_core.observables.joint_coordinates import JointCoordinates
 from liegroup_core.observables.joint_forces import JointForces
+from liegroup_core.observables.quantities import Catalogue
 from liegroup_core.observables.reactions import Reactions
 from liegroup_core.observables.sample import Sample
 from liegroup_core.scene.assembly import ready
@@ -217,6 +218,11 @@ class Layout:
             for r, name in enumerate(names)
             if r not in kept
         ]
+
+    @cached_property
+    def catalogue(self):
+        """Catalogue of the quantities of the scene."""
+        return Catalogue(self)
 
     @cached_property
     def coordinates(self):

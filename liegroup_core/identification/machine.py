@@ -147,6 +147,7 @@ class Machine:
         self.layout, self.log = self.engine.layout, log
         inputs = InputChannels(self.probe, [each.name for each in log.inputs])
         self._wrenches, self._shifts = inputs.changes(0)
+        self.efforts = inputs.efforts
         self._targets = self.probe.targets.copy()
         for k, name in enumerate(inputs.names):  # a target replaces that of the scene
             if name.rpartition(".")[2] in ("target", "target_velocity"):
@@ -272,7 +273,7 @@ class Machine:
         found = []
         for places, outputs in zip(segment.places, self.outputs):
             rows = np.searchsorted(seen, places)
-            found.append(outputs.of_path(path, rows))
+            found.append(outputs.of_states(path, rows))
         for t, k, joint, law in self._rubbing:
             rate = path.joints[np.searchsorted(seen, segment.places[t]), self.layout.coordinates.names.index(joint), 1]
             found[t][:, k] += law.against(rate)
@@ -408,6 +409,7 @@ class Path:
         )
         if len(self.wrenches):
             found.external = self.wrenches[part]
+            found.joint_efforts = machine.efforts(self._segment.inputs[part])
             if self.targets.shape[1]:
                 found.targets = self.targets[part]
         if engine._switching is not None:

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from liegroup_core.errors import LieGroupSimError, SceneError
-from liegroup_core.linear.channels import POSE, TWIST, OutputChannels
+from liegroup_core.linear.channels import OutputChannels
 from liegroup_core.linear.coordinates import Coordinates, scales_of
+from liegroup_core.observables.quantities import PLACES, POSITION, RATES, ROTATION, TWIST
 
 from .fit import HIDDEN
 from .machine import Apart, directions, floating, segments_of, up_to
@@ -164,30 +165,18 @@ def has_others(log):
 
 def _seen(machine, log):
     """[_Seen] of a Log; none where only joints were measured, which can be put to where they were."""
-    parts = {sensor.name: sensor.parts for sensor in machine.layout.scene.sensors}
-    found, joints = [], set()
+    catalogue, kinds_of = machine.layout.catalogue, {PLACES: False, RATES: True}
+    found, joints, kinds = [], set(), {}
     for t, each in enumerate(log.measured):
-        kinds = [_is_rate(name, parts) for name in each.channels]
+        own = [kinds_of.get(depends) for depends in catalogue.columns(each.channels).depends]
+        kinds |= dict(zip(each.channels, own))
         joints |= {name for name in each.channels if name.endswith(".position")}
         for is_rate in (False, True):
-            columns = [k for k, kind in enumerate(kinds) if kind is is_rate]
+            columns = [k for k, kind in enumerate(own) if kind is is_rate]
             if columns:
                 found.append(_Seen(machine, t, each, columns, is_rate))
     known = joints | {name.removesuffix("position") + "velocity" for name in joints}
-    names = [name for each in log.measured for name in each.channels]
-    return found if any(_is_rate(name, parts) is not None and name not in known for name in names) else []
-
-
-def _is_rate(name, parts):
-    """Whether an output changes with rates, or positions alone determine it; None: it depends on what acts.
-
-    parts : {sensor: names and units of its numbers}
-    """
-    owner, _, part = name.rpartition(".")
-    if part.isdigit():
-        unit = parts[owner][int(part)].partition("[")[2]
-        part = "velocity" if "/s]" in unit else "position" if unit in ("", "m]", "rad or m]") else ""
-    return False if part in ("position", *POSE) else True if part in ("velocity", *TWIST) else None
+    return found if any(kind is not None and name not in known for name, kind in kinds.items()) else []
 
 
 def _nearest(machine, seen, state, time, delays):
@@ -312,10 +301,11 @@ def _rates(machine, outputs, apart, segment, state):
     if len(segment.times) < 2:
         return np.zeros(len(outputs))
     path = machine.path(segment, state, np.array([0, 1]))
-    first, second = outputs.of_path(path, np.array([0, 1]))
+    first, second = outputs.of_states(path, np.array([0, 1]))
     return apart(second[None], first[None])[0] / (segment.times[1] - segment.times[0])
 
 
 def _reported(machine):
     """Names of outputs that make a state."""
-    return ["joints", *(f"{body}.{part}" for body in floating(machine.layout) for part in (*POSE, *TWIST))]
+    parts = (*ROTATION, *POSITION, *TWIST)
+    return ["joints", *(f"{body}.{part}" for body in floating(machine.layout) for part in parts)]

@@ -237,9 +237,12 @@ def system_of(probe, inputs=None, outputs=None, independent=None, preferred=()):
     found, errors = signs * slopes[:, rows], errors[:, rows]
 
     def seen(d, s):
-        applied = (None, None) if d < len(moves) else inputs.applied(s * np.eye(len(inputs))[d - len(moves)])
+        u = np.zeros(len(inputs)) if d < len(moves) else s * np.eye(len(inputs))[d - len(moves)]
+        applied = (None, None) if d < len(moves) else inputs.applied(u)
         _, pose, twist = probe.slopes(s * directions[d], *applied)
-        return outputs.of(probe.sample(pose, twist, *applied))
+        sample = probe.sample(pose, twist, *applied)
+        sample.joint_efforts = inputs.efforts(u)
+        return outputs.of(sample)
 
     # In the chart that moves with the state, d/dt psi = w + [psi, V]; in the fixed one half of the bracket.
     found[:m, :m] += found[:m, :m] - (coordinates.signs * coordinates.changes[coordinates.independent].T)

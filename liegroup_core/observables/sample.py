@@ -391,6 +391,19 @@ class Sample:
         return efforts
 
     @cached_property
+    def total_efforts(self) -> dict[str, float]:
+        """{joint: N m or N}: sum of its effort in `joint_efforts`, that of its drive and those of its `force_efforts`.
+
+        Joints at which nothing acts are not in it. Friction and stops are not included.
+        """
+        efforts = {**self.joint_efforts}
+        placed = self._layout.joint_forces.joints if self._layout.joint_forces.names else {}
+        found = ((joint, self.force_efforts[force]) for force, joint in placed.items())
+        for joint, effort in (*self.drive_efforts.items(), *found):
+            efforts[joint] = efforts.get(joint, 0.0) + effort
+        return efforts
+
+    @cached_property
     def saturated(self) -> tuple[str, ...]:
         """Joints whose servo is at its effort limit."""
         at_limit = np.abs(self._servo_efforts[:, 0]) >= kinds.limits(self._layout.model.forces)

@@ -8,7 +8,6 @@ run.
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -27,10 +26,10 @@ from liegroup_sim_ros.recording.read import RecordingError
 
 from .acting import AlongStretches
 from .balance import Balance
+from .columns import columns_along
 from .estimate import Estimate
 from .invariants import Energy, Joints, Momentum
 from .joint_events import joint_events
-from .joint_motion import joint_motion
 from .local_error import local_error
 from .promise import Promise
 from .reference import ReferenceError
@@ -66,13 +65,21 @@ class Analysis:
         """Scene of the recording."""
         return self.layout.scene
 
-    @cached_property
-    def joint_motion(self):
-        """Curves of the joints, see joint_motion.joint_motion; (times, {}) if they cannot be computed."""
-        try:
-            return joint_motion(self.layout, self.motion)
-        except _NO_RESULT:
-            return np.empty(0), {}
+    def columns(self, names, most=None):
+        """Columns of the Catalogue along the run, see columns.columns_along."""
+        return columns_along(self.layout, self.motion, names, most)
+
+    def to_pandas(self, names):
+        """pandas DataFrame of columns of the Catalogue at all kept samples, with the time in s as index.
+
+        names : such as "energy", "top.x", "reactions", see `liegroup_sim run --columns`
+        raises ImportError without pandas, SceneError for an unknown name
+        """
+        import pandas
+
+        times, columns, values = self.columns(names, most=math.inf)
+        known = np.isfinite(times)  # not between stretches
+        return pandas.DataFrame(values[known], pandas.Index(times[known], name="time_s"), columns.labels)
 
 
 def analyse(
@@ -194,12 +201,12 @@ class _Parts:
         figures["estimate"] = self._estimate.figures()
         try:
             figures["local"] = local_error(self._scene, self._recording, self._motion, self._layout)
-        except _NO_RESULT as error:
+        except NO_RESULT as error:
             figures["local"] = _failed(error)
 
 
 # Errors for an unknown method or joint type, options of another version, or a singular configuration.
-_NO_RESULT = (SimulationError, ReplayError, ValueError, TypeError)
+NO_RESULT = (SimulationError, ReplayError, ValueError, TypeError)
 
 
 def _failed(error):
@@ -217,7 +224,7 @@ class _Guarded:
         if self._failure is None:
             try:
                 return function(*arguments)
-            except _NO_RESULT as error:
+            except NO_RESULT as error:
                 self._failure = _failed(error)
         return None
 

@@ -54,8 +54,14 @@ def add_arguments(parser):
         "recording, or the scene file that refers to it (meshes need trimesh)",
     )
     parser.add_argument(
-        "--bodies", action="store_true", help="also plot the positions of the bodies in the report of --html"
+        "--plot",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="NAME",
+        help="also plot quantities in the report of --html, by their names as of `liegroup_sim run --columns`",
     )
+    parser.add_argument("--bodies", dest="plot", action="append_const", const="positions", help="as --plot positions")
     parser.add_argument(
         "--png",
         metavar="FILE",
@@ -115,7 +121,7 @@ def run(args):
     except AddressError as error:
         raise AnalysisError(str(error)) from None
     many = len(logs) > 1 or args.scheduler
-    for option in ("compare", "png", "robot", "bodies"):
+    for option in ("compare", "png", "robot", "plot"):
         if many and getattr(args, option):
             raise AnalysisError(f"--{option} requires exactly one recording and no --scheduler")
     check_files(args.json, args.html, picture=args.png)
@@ -150,7 +156,7 @@ def run(args):
 
             write_file(args.png, lambda path: write_picture(analysis, path, comparison))
         if args.html:
-            parts = [page_part(analysis, shapes=_shapes(args.robot, analysis.scene), bodies=args.bodies)]
+            parts = [page_part(analysis, shapes=_shapes(args.robot, analysis.scene), columns=args.plot)]
     exceeded = find_exceeded(found, args.max_error, args.max_drift)
     if args.html:
         bounds = [

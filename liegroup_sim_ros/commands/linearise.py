@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.text import Text
 
 from liegroup_core.linear import change_along, linearise, pole_errors
-from liegroup_core.linear.channels import INPUTS, OUTPUTS
+from liegroup_core.linear.channels import INPUTS
 from liegroup_sim_ros.numbers import counted, shown
 from liegroup_sim_ros.report.terminal import plain_table
 
@@ -37,11 +37,7 @@ def add_arguments(parser):
         "BODY.torque_x (default: targets of servos and efforts)",
     )
     parser.add_argument(
-        "--outputs",
-        nargs="*",
-        metavar="NAME",
-        help=f"{', '.join(OUTPUTS)}, or single ones: JOINT.position, JOINT.velocity, BODY.x, BODY.rx, BODY.vx, "
-        "BODY.wx, JOINT.force_x, SENSOR.0 (default: joints)",
+        "--outputs", nargs="*", metavar="NAME", help="names as of `liegroup_sim run --columns` (default: joints)"
     )
     parser.add_argument("--independent", nargs="+", metavar="NAME", help="independent coordinates of the state")
     parser.add_argument("--json", action="store_true", help="print JSON")

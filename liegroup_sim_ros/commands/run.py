@@ -20,6 +20,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from liegroup_core import Simulation, SimulationError
 from liegroup_core.errors import LieGroupSimError
 from liegroup_core.forces.instants import LATEST
+from liegroup_core.observables.quantities import GROUPS
 from liegroup_core.settings import SETTINGS
 from liegroup_core.simulation import default_steps
 from liegroup_sim_ros.messages.events import slips
@@ -86,6 +87,13 @@ def add_arguments(parser):
         "--reactions", action="store_true", help="also write the wrench of every joint on its child (nan: undetermined)"
     )
     parser.add_argument(
+        "--columns",
+        nargs="+",
+        metavar="NAME",
+        help=f"what a table or arrays have beside the time: {', '.join(GROUPS)}, or single ones, such as BODY.x, "
+        "JOINT.position, FORCE.effort, SENSOR.0 (default: states, joints, energy, constraint_residual, errors)",
+    )
+    parser.add_argument(
         "--torques",
         metavar="FILE",
         help="table (*.csv) of the efforts that the motions of driven joints require; it must not exist",
@@ -132,6 +140,8 @@ def _run(args):
             raise RunError(f"{args.out}: the name must end in .npz, .csv or .mcap")
     if args.torques is not None and Path(args.torques).suffix != ".csv":
         raise RunError(f"{args.torques}: the name must end in .csv")
+    if args.columns and args.reactions:
+        raise RunError("--columns cannot be combined with --reactions: name reactions and forces among the columns")
     if args.every is not None and args.every < 1:
         raise RunError(f"--every must be at least 1, got {args.every}")
     asked = sample_times(args)
@@ -145,7 +155,7 @@ def _run(args):
             simulation = Simulation(scene, **settings, estimate=args.estimate)
     except ValueError as error:  # includes SceneError
         raise RunError(str(error)) from None
-    if args.reactions or args.torques:
+    if args.reactions or args.torques or args.columns:
         simulation.layout.reactions.warm_up()
     step = simulation.step
     every = args.every or max(1, math.ceil(1.0 / (DENSEST * step) - 1e-9))
@@ -169,7 +179,7 @@ def _run(args):
         if args.torques:
             files.append(stack.enter_context(TorqueFile(args.torques, simulation)))
         if kind:
-            file = kind(args.out, simulation, every, samples, args.reactions)
+            file = kind(args.out, simulation, every, samples, args.reactions, args.columns)
             files.append(stack.enter_context(file))
 
         def write():

@@ -11,7 +11,6 @@ from rich.text import Text
 
 from liegroup_core import SimulationError
 from liegroup_core.linear import sensitivities
-from liegroup_core.linear.channels import OUTPUTS
 from liegroup_sim_ros.numbers import shown
 from liegroup_sim_ros.report.terminal import plain_table
 
@@ -30,10 +29,7 @@ def add_arguments(parser):
         "--by", nargs="+", required=True, metavar="NAME", help="numbers of the scene, as of `liegroup_sim sweep --vary`"
     )
     parser.add_argument(
-        "--of",
-        nargs="+",
-        metavar="OUTPUT",
-        help=f"{', '.join(OUTPUTS)}, or single ones, as of `liegroup_sim linearise --outputs` (default: joints)",
+        "--of", nargs="+", metavar="OUTPUT", help="names as of `liegroup_sim run --columns` (default: joints)"
     )
     parser.add_argument("--at", type=float, nargs="+", required=True, metavar="T", help="simulated times in s")
     parser.add_argument("--json", action="store_true", help="print JSON")

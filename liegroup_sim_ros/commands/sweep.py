@@ -11,13 +11,12 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from liegroup_core import load_scene
-from liegroup_core.linear.channels import OUTPUTS
 from liegroup_core.scene.consistency import AT_POSES, AT_VELOCITIES
 from liegroup_core.scene.load import scene_as_written
 from liegroup_core.scene.parameters import ParameterError, parameters
 from liegroup_core.settings import checked
 from liegroup_core.study.sweep.file import SweepFile
-from liegroup_core.study.sweep.sweep import OK, Sweep, describe
+from liegroup_core.study.sweep.sweep import LARGEST, OK, Sweep, describe
 from liegroup_core.study.trade.cache import PACKAGES
 from liegroup_sim_ros.numbers import counted
 from liegroup_sim_ros.recording.attachments import versions
@@ -77,12 +76,20 @@ def add_arguments(parser):
         help="add the largest reactions of all joints at the times of --keep (nan: undetermined)",
     )
     parser.add_argument(
+        "--record",
+        nargs="+",
+        default=[],
+        metavar="NAME",
+        help="save more than the states, at the end and at the times of --keep; names as of `liegroup_sim run "
+        "--columns`",
+    )
+    parser.add_argument(
         "--gradient",
         nargs="+",
         default=[],
         metavar="OUTPUT",
         help="add the derivatives of outputs at the end by all varied numbers: "
-        f"{', '.join(OUTPUTS)}, or single ones, as of `liegroup_sim linearise --outputs`",
+        "names as of `liegroup_sim run --columns`",
     )
     parser.add_argument("--workers", type=int, metavar="N", help="number of processes (default: one per core)")
     parser.add_argument("--scheduler", metavar="ADDRESS", help="scheduler of a Dask cluster, such as tls://host:8786")
@@ -113,6 +120,7 @@ def run(args):
     console = Console(stderr=True)
     with console.status("starting (the first run of a kind of mechanism compiles for about 20 s)"):
         sweep, description = _sweep_of(scene, args)
+    args.show = args.show and [_shown(name, sweep.columns) for name in args.show]
     unknown = [name for name in args.show or () if sweep.columns.get(name) != "float"]
     if unknown:
         raise RunError(
@@ -134,6 +142,12 @@ def run(args):
     return 0 if OK in statuses else EXIT_ALL_FAILED
 
 
+def _shown(name, columns):
+    """Column with a name, or with the name that it had before 0.3."""
+    former = LARGEST + {"joints": "constraint_residual"}.get(name, name)
+    return former if name not in columns and former in columns else name
+
+
 def _sweep_of(scene, args):
     """(Sweep, description for the file) from the arguments."""
     settings = given_settings(args)
@@ -152,6 +166,7 @@ def _sweep_of(scene, args):
             args.assemble,
             settings,
             reactions=args.reactions,
+            record=args.record,
             gradient=args.gradient,
         )
     except (ParameterError, RunError):

@@ -8,7 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from liegroup_core.errors import SceneError
 from liegroup_core.identification.log import MOTION, SPLINE, Given, Log, Measured
-from liegroup_core.linear.channels import ACCELERATION, TWIST, WRENCH
+from liegroup_core.linear.channels import WRENCH
+from liegroup_core.observables.quantities import ACCELERATION, POSITION, ROTATION, TWIST
 from liegroup_sim_ros.numbers import counted
 
 from .bag import BagError, Field
@@ -16,7 +17,7 @@ from .bag import BagError, Field
 _SIX = (("angular", "xyz"), ("linear", "xyz"))
 # {part of a body: (its outputs or inputs, path in a message, vectors there with their components)}
 WHOLE = {
-    "pose": (("x", "y", "z", "rx", "ry", "rz"), "", (("position", "xyz"), ("orientation", "xyzw"))),
+    "pose": ((*POSITION, *ROTATION), "", (("position", "xyz"), ("orientation", "xyzw"))),
     "twist": (TWIST, "", _SIX),
     "acceleration": (ACCELERATION, "", _SIX),
     "wrench": (WRENCH, "wrench", (("torque", "xyz"), ("force", "xyz"))),
@@ -60,10 +61,9 @@ def channels_of(name, scene):
     if part in WHOLE:
         return [f"{first}.{each}" for each in WHOLE[part][0]]
     if not part and first in sensors:
-        kind = sensors[first].type
-        if kind == "pose":
+        if sensors[first].type == "pose":
             raise SceneError(f"{first}: give {first}.0, {first}.1, ... of a pose sensor, or BODY.pose")
-        return [f"{first}.{k}" for k in range(1 if kind == "encoder" else len(sensors[first].parts))]
+        return [f"{first}.{k}" for k in range(len(sensors[first].parts))]
     return [name]
 
 

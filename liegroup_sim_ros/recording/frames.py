@@ -3,14 +3,14 @@
 
 import numpy as np
 
+from liegroup_core.observables.quantities import COORDINATE, POSITION, QUATERNION, TWIST, WRENCH
 from liegroup_sim_ros.messages.commands import MOTION_COLUMNS
 from liegroup_sim_ros.messages.joint_modes import COLUMNS as MODE_COLUMNS
 
-WRENCH = ["tx", "ty", "tz", "fx", "fy", "fz"]  # N m, N
 # {what: (attribute of a Recording, columns of each of its names)}
 WIDE = {
-    "joints": ("joint_states", ("position", "velocity", "effort")),
-    "servo_targets": ("servo_targets", ("position", "velocity")),
+    "joints": ("joint_states", (*COORDINATE, "effort")),
+    "servo_targets": ("servo_targets", COORDINATE),
     "motions": ("motions", MOTION_COLUMNS),
     "joint_modes": ("joint_modes", MODE_COLUMNS),
     "errors": ("errors", ("position", "attitude", "velocity", "angular_velocity")),  # m, rad, m/s, rad/s
@@ -27,8 +27,8 @@ def data_frame(recording, what):
             pose, twist = recording.pose[body], recording.twist[body]
             parts[body] = pandas.concat(
                 [
-                    pandas.DataFrame(np.hstack(pose[1:]), pose.time, ["x", "y", "z", "qx", "qy", "qz", "qw"]),
-                    pandas.DataFrame(twist.twist, twist.time, ["wx", "wy", "wz", "vx", "vy", "vz"]),
+                    pandas.DataFrame(np.hstack(pose[1:]), pose.time, [*POSITION, *QUATERNION]),
+                    pandas.DataFrame(twist.twist, twist.time, [*TWIST]),
                 ],
                 axis=1,
             )
@@ -53,7 +53,8 @@ def data_frame(recording, what):
     elif what in ("reactions", "impulses"):
         # (stamp_ns, time, wrench or impulse) of each joint.
         parts = {
-            joint: pandas.DataFrame(track[-1], track.time, WRENCH) for joint, track in getattr(recording, what).items()
+            joint: pandas.DataFrame(track[-1], track.time, [*WRENCH])
+            for joint, track in getattr(recording, what).items()
         }
         frame = pandas.concat(parts, axis=1) if parts else pandas.DataFrame()
     elif what == "events":

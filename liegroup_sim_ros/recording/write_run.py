@@ -27,7 +27,7 @@ from . import attachments
 from .checkpoints import Checkpoints
 from .errors import FileLostError, OutputError, RecorderError
 from .write import Recorder
-from .write_tables import close_new, has_estimate, joint_names, new_file, quantities
+from .write_tables import close_new, has_estimate, joint_names, new_file
 
 NODE = "/sim_node"  # topics have the same names as in a run of the node
 WORLD_FRAME = "world"
@@ -43,10 +43,11 @@ class ArrayFile:
     (k, j, 6), see Sample.reactions, forces (f,) names and efforts (k, f), see Sample.force_efforts,
     driven (d,) names and drive_efforts (k, d), with rigid stops impact_time (i,) s and impulses (i, j, 6)
     of all joints, see Engine.drain_impacts; sensors/NAME (k, m) of each sensor of the scene, see
-    Sample.sensors; scene and settings: texts, YAML and JSON
+    Sample.sensors; scene and settings: texts, YAML and JSON. With chosen columns only time, bodies, the columns by
+    their names, each (k,), columns (c,) names, units (c,) texts, scene and settings.
     """
 
-    def __init__(self, path, simulation, every, samples, reactions=False):
+    def __init__(self, path, simulation, every, samples, reactions=False, columns=None):
         self.count, self.last_step = 0, -1
         self._path, self._every = Path(path), every
         self._names, self._simulation = {}, simulation
@@ -61,9 +62,13 @@ class ArrayFile:
                 ("driven", [*layout.motions]),
             )
             self._names = {key: np.array(some) for key, some in names if some or key != "driven"}
-        self._quantities = [each for each in quantities(simulation, reactions) if each.key]
-        sample, n = simulation.sample(), len(layout.body_names)
-        first = {each.key: np.asarray(each.of(sample)) for each in self._quantities}
+        catalogue, sample, n = layout.catalogue, simulation.sample(), len(layout.body_names)
+        self._columns = catalogue.columns(columns) if columns else None
+        if columns:
+            self._of = {"time": lambda sample: sample.time, "columns": self._columns.of}
+        else:
+            self._of = arrays(simulation, reactions)
+        first = {key: np.asarray(of(sample)) for key, of in self._of.items()}
         try:
             self._arrays = {key: np.empty((samples, *value.shape), value.dtype) for key, value in first.items()}
         except MemoryError:
@@ -81,8 +86,8 @@ class ArrayFile:
 
     def sample(self, sample):
         """Append a sample."""
-        for each in self._quantities:
-            self._arrays[each.key][self.count] = each.of(sample)
+        for key, of in self._of.items():
+            self._arrays[key][self.count] = of(sample)
         if self._impacts is not None:
             self._impacts += self._simulation.drain_impacts()
         self.count, self.last_step = self.count + 1, sample.steps
@@ -95,6 +100,9 @@ class ArrayFile:
             impulses = [impact.array for impact in self._impacts]
             self._names["impact_time"] = np.array([impact.time for impact in self._impacts])
             self._names["impulses"] = np.reshape(impulses, (-1, len(self._names["joints"]), 6))
+        if self._columns is not None:
+            self._arrays |= zip(self._columns.names, self._arrays.pop("columns").T)
+            self._names |= {"columns": np.array(self._columns.names), "units": np.array(self._columns.units)}
         try:
             np.savez(
                 self._stream,
@@ -109,10 +117,34 @@ class ArrayFile:
             raise OutputError(f"{self._path}: cannot be written: {error.strerror}") from None
 
 
+def arrays(simulation, reactions):
+    """{array of *.npz: function Sample -> its row}."""
+    found = {
+        "time": lambda sample: sample.time,
+        "steps": lambda sample: sample.steps,
+        "poses": lambda sample: sample.pose_matrices,
+        "twists": lambda sample: sample.twist,
+        "energy": lambda sample: sample.energy,
+        "residual": lambda sample: sample.constraint_residual,
+    }
+    if has_estimate(simulation):
+        found["errors"] = lambda sample: sample.errors
+    if reactions:
+        found["reactions"] = lambda sample: sample.reaction_array
+        found["efforts"] = lambda sample: list(sample.force_efforts.values())
+        if simulation.layout.motions:
+            found["drive_efforts"] = lambda sample: list(sample.drive_efforts.values())
+    for each in simulation.scene.sensors:
+        found[f"sensors/{each.name}"] = lambda sample, name=each.name: sample.sensors[name]
+    return found
+
+
 class LogFile:
     """Recording *.mcap in the node's format, without clock and diagnostics (docs/reference/node.md)."""
 
-    def __init__(self, path, simulation, every, _samples, reactions=False):
+    def __init__(self, path, simulation, every, _samples, reactions=False, columns=None):
+        if columns:
+            raise OutputError(f"{path}: a recording has topics, not columns: write *.csv or *.npz, or omit --columns")
         self.count, self.last_step = 0, -1
         self._simulation, self._told = simulation, set()  # events that are recorded once
         self._stamp = simulation.time_ns  # of the last sample

@@ -6,27 +6,17 @@ classes have the interface of those in write_run.py. Existing files are never ov
 """
 
 import csv
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from liegroup_core.joint_events import has_impacts
+from liegroup_core.observables.quantities import COORDINATE, WRENCH
 
 from .errors import OutputError
 
-BODY = (
-    *(f"{axis} [m]" for axis in "xyz"),
-    *(f"q{axis}" for axis in "xyzw"),
-    *(f"w{axis} [rad/s]" for axis in "xyz"),
-    *(f"v{axis} [m/s]" for axis in "xyz"),
-)
-PARTS = (("position", ""), ("velocity", "/s"))
-ERRORS = ("position_error [m]", "attitude_error [rad]", "velocity_error [m/s]", "angular_velocity_error [rad/s]")
-REACTION = (*(f"t{axis} [N m]" for axis in "xyz"), *(f"f{axis} [N]" for axis in "xyz"))
-IMPULSE = (*(f"impulse_t{axis} [N m s]" for axis in "xyz"), *(f"impulse_f{axis} [N s]" for axis in "xyz"))
+IMPULSE = tuple(f"impulse_{part} [{unit}]" for part, unit in zip(WRENCH, 3 * ["N m s"] + 3 * ["N s"]))
 
 
 def new_file(path, mode, **options):
@@ -52,47 +42,13 @@ def close_new(stream, path, remove):
                 Path(path).unlink()
 
 
-class Quantity(NamedTuple):
-    """What a file has of each sample."""
-
-    key: str  # in *.npz; "": it is not there
-    labels: list  # columns of *.csv, one for each number; none: it is not there
-    of: Callable  # function sample -> number or array
-
-
-def quantities(simulation, reactions):
-    """[Quantity] of the files of a run."""
-    layout, joints = simulation.layout, joint_names(simulation)
-    units, bodies, forces = layout.coordinates.units, layout.body_names, layout.joint_forces
-
-    def labels(names, columns):
-        return [f"{name}.{column}" for name in names for column in columns]
-
-    names = layout.coordinates.names
-    coordinates = [f"{joint}.{part} [{units[joint]}{per}]" for joint in names for part, per in PARTS]
-    found = [
-        Quantity("time", ["time [s]"], lambda sample: sample.time),
-        Quantity("steps", [], lambda sample: sample.steps),
-        Quantity("poses", [], lambda sample: sample.pose_matrices),
-        Quantity("twists", [], lambda sample: sample.twist),
-        Quantity(
-            "", labels(bodies, BODY), lambda sample: np.hstack([sample.pose[:, 9:], sample.orientation, sample.twist])
-        ),
-        Quantity("", coordinates, lambda sample: [sample.joint_coordinates[name] for name in names]),
-        Quantity("energy", ["energy [J]"], lambda sample: sample.energy),
-        Quantity("residual", ["constraint_residual [m or rad]"], lambda sample: sample.constraint_residual),
-    ]
+def usual_columns(simulation, reactions):
+    """Names of the columns that a table has if none are chosen."""
+    found = ["time", "states", "joints", "energy", "constraint_residual"]
     if has_estimate(simulation):
-        found.append(Quantity("errors", labels(bodies, ERRORS), lambda sample: sample.errors))
+        found.append("errors")
     if reactions:
-        efforts = [f"{name}.effort [{'N m' if forces.turns[name] else 'N'}]" for name in forces.names]
-        drives = [f"{joint}.drive_effort [{'N' if units.get(joint) == 'm' else 'N m'}]" for joint in layout.motions]
-        found.append(Quantity("reactions", labels(joints, REACTION), lambda sample: sample.reaction_array))
-        found.append(Quantity("efforts", efforts, lambda sample: list(sample.force_efforts.values())))
-        if drives:
-            found.append(Quantity("drive_efforts", drives, lambda sample: list(sample.drive_efforts.values())))
-    for name in simulation.sample().sensors:
-        found.append(Quantity(f"sensors/{name}", [], lambda sample, name=name: sample.sensors[name]))
+        found += ["reactions", "forces", *(f"{joint}.effort" for joint in simulation.layout.motions)]
     return found
 
 
@@ -122,24 +78,21 @@ class _Table:
 
 
 class TableFile(_Table):
-    """Table of states.
+    """Table of columns of the Catalogue.
 
-    Columns: time; of each body position x y z (m, world),
-    quaternion qx qy qz qw (body to world), angular velocity wx wy wz (rad/s) and velocity vx vy vz
-    (m/s) in body axes; position and velocity of each joint with one degree of freedom (rad and
-    rad/s, or m and m/s); energy (J); largest constraint residual (m or rad); estimated errors of
-    each body, if the simulation has an estimate; on request the reaction of each joint, torque
-    tx ty tz (N m) and force fx fy fz (N), see Sample.reactions, and the effort (N m or N) of each
-    spring, motor and servo at a joint, see Sample.force_efforts, and of each driven joint; with rigid
-    stops the sum of the impulses of each joint at the impacts since the last row (N m s, N s), see
-    Engine.drain_impacts.
+    By default time; position, quaternion and twist of each body; position and velocity of each joint with one degree
+    of freedom; energy; largest constraint residual; estimated errors of each body, if the simulation has an estimate;
+    on request the reaction of each joint, see Sample.reactions, the effort of each spring, motor and servo at a joint,
+    and of each driven joint; with rigid stops the sum of the impulses of each joint at the impacts since the last row
+    (N m s, N s), see Engine.drain_impacts.
     """
 
-    def __init__(self, path, simulation, _every, _samples, reactions=False):
+    def __init__(self, path, simulation, _every, _samples, reactions=False, columns=None):
+        wanted = ["time", *columns] if columns else usual_columns(simulation, reactions)
+        self._columns = simulation.layout.catalogue.columns(wanted)
         super().__init__(path)
-        self._columns = [each for each in quantities(simulation, reactions) if each.labels]
         self._has_impacts, self._simulation = reactions and has_impacts(simulation.scene), simulation
-        labels = [label for each in self._columns for label in each.labels]
+        labels = self._columns.labels
         if self._has_impacts:
             simulation.drain_impacts()  # the simulation collects impacts from here on
             labels += [f"{joint}.{name}" for joint in joint_names(simulation) for name in IMPULSE]
@@ -147,8 +100,7 @@ class TableFile(_Table):
 
     def sample(self, sample):
         """Write a row."""
-        values = [number for each in self._columns for number in np.ravel(each.of(sample)).tolist()]
-        self._write(*values, *(self._impulses() if self._has_impacts else ()))
+        self._write(*self._columns.of(sample).tolist(), *(self._impulses() if self._has_impacts else ()))
         self.count, self.last_step = self.count + 1, sample.steps
 
     def _impulses(self):
@@ -167,24 +119,14 @@ class TorqueFile(_Table):
     """
 
     def __init__(self, path, simulation):
-        units = {
-            joint.name: ("m", "m/s", "N") if joint.type == "prismatic" else ("rad", "rad/s", "N m")
-            for joint in simulation.scene.joints
-            if joint.driven
-        }
-        if not units:
+        joints = [joint.name for joint in simulation.scene.joints if joint.driven]
+        if not joints:
             raise OutputError(
                 f"{path}: the scene has no driven joint: add driven: true to those whose efforts you need"
             )
         super().__init__(path)
-        self._write(
-            "time [s]",
-            *(
-                f"{joint}.{what} [{unit}]"
-                for joint, of_joint in units.items()
-                for what, unit in zip(("position", "velocity", "effort"), of_joint)
-            ),
-        )
+        names = [f"{joint}.{part}" for joint in joints for part in (*COORDINATE, "effort")]
+        self._write(*simulation.layout.catalogue.columns(["time", *names]).labels)
 
     def sample(self, sample):
         """Write a row."""

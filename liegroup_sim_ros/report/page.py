@@ -37,16 +37,16 @@ NUMBER = re.compile(
 )
 
 
-def page_part(analysis, plots=True, shapes=None, bodies=False):
+def page_part(analysis, plots=True, shapes=None, columns=()):
     """Content of the page for one Analysis: JSON types, except NaN and infinity.
 
     shapes : {body: triangles} for the 3D view, see shapes.robot_shapes
-    bodies : whether to plot the positions of the bodies
+    columns : as of make_plots
     """
     recording = analysis.recording
     return {
         "figures": analysis.figures,
-        "plots": make_plots(analysis, bodies) if plots else [],
+        "plots": make_plots(analysis, columns) if plots else [],
         "view": make_view(analysis, shapes) if plots and analysis.motion.stretches else None,
         "description": analysis.scene.description.strip(),
         "differences": [note.removeprefix("changes the motion: ") for note in analysis.scene.differences],

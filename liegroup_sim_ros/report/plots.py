@@ -6,13 +6,14 @@ Colours are names of CSS variables ("--blue"), which the page replaces for light
 
 import math
 from html import escape
+from types import MappingProxyType
 
 import numpy as np
 
 from liegroup_core.observables.along import STORES
+from liegroup_sim_ros.analysis.analyse import NO_RESULT
 from liegroup_sim_ros.analysis.balance import WORKS
 from liegroup_sim_ros.analysis.estimate import LEAST, MOST
-from liegroup_sim_ros.analysis.joint_motion import MOST_TIMES
 from liegroup_sim_ros.analysis.promise import allowed
 from liegroup_sim_ros.numbers import shown
 
@@ -27,22 +28,24 @@ MANY_COLOURS = ("--blue", "--orange", "--green", "--violet", "--teal", "--pink",
 DASHES = ("solid", "dash", "dot")
 MOST_CHOSEN = 6  # curves of many that are visible at first
 TURNS = "angles are shown from -pi to pi, unless the joint"
-# Title, remark, column of joint_motion, unit, and unit of the positions of its joints (None: of all).
-JOINT_PLOTS = (
-    ("Joint angles", f"{TURNS} has a spring, servo, coupling or drive", 0, "rad", "rad"),
-    ("Joint displacements", "along the axes", 0, "m", "m"),
-    ("Joint angular velocities", "rates of the angles", 1, "rad/s", "rad"),
-    ("Joint velocities", "rates of the displacements", 1, "m/s", "m"),
-    ("Joint torques", "motors, servos, drives, springs, dampers and commands at the joint", 2, "N m", "rad"),
-    ("Joint forces", "motors, servos, drives, springs, dampers and commands at the joint", 2, "N", "m"),
-    ("Joint powers", "effort times velocity", 3, "W", None),
-)
+# {(part, unit) of columns of joints: (title, remark or None: that of the quantity)} of their plots.
+JOINT_PLOTS = {
+    ("position", "rad"): ("Joint angles", f"{TURNS} has a spring, servo, coupling or drive"),
+    ("position", "m"): ("Joint displacements", "along the axes"),
+    ("velocity", "rad/s"): ("Joint angular velocities", "rates of the angles"),
+    ("velocity", "m/s"): ("Joint velocities", "rates of the displacements"),
+    ("total_effort", "N m"): ("Joint torques", None),
+    ("total_effort", "N"): ("Joint forces", None),
+    ("power", "W"): ("Joint powers", None),
+}
+PARTS = tuple(dict.fromkeys(part for part, _ in JOINT_PLOTS))
+PICKS = {"body": "Bodies", "joint": "Joints", "force": "Forces", "sensor": "Sensors", "": "Mechanism"}
 
 
-def make_plots(analysis, bodies=False):
+def make_plots(analysis, columns=()):
     """[(title, remark, plot)] for all curves over time.
 
-    bodies : whether to plot the positions of the bodies
+    columns : names of columns of the Catalogue to plot beside those of joints. Raises SceneError for an unknown name
     """
     figures, curves = analysis.figures, analysis.curves
     plots = []
@@ -51,7 +54,7 @@ def make_plots(analysis, bodies=False):
     marks = curves.get("joint_events")
     restarts = np.array([stretch.begin_ns * 1e-9 for stretch in analysis.motion.stretches[1:]][:MOST_RESTARTS])
     bands = _push_bands(figures, analysis.motion) + _event_lines(marks, "--grey") + _event_lines(restarts, "--violet")
-    plots += _joint_plots(analysis, bands) + (_body_plots(analysis, bands) if bodies else [])
+    plots += _joint_plots(analysis, bands) + (_column_plots(*analysis.columns(columns), bands) if columns else [])
     if curves["balance"]:
         plots += _energy_plots(figures["balance"], curves["balance"], bands)
     remark, traces = _errors(analysis)
@@ -201,36 +204,48 @@ def _with_lines(plot, values):
 
 def _joint_plots(analysis, bands):
     """Plots of the joints with one coordinate, by quantity and unit."""
-    times, joints = analysis.joint_motion
-    units = analysis.layout.coordinates.units
-    kinds = {unit: [name for name in joints if units[name] == unit] for unit in ("rad", "m")}
+    layout = analysis.layout
+    if not layout.coordinates.names:
+        return []
+    joints, acted = layout.coordinates.names, {*layout.joint_forces.joints.values(), *layout.motions}
+    try:
+        times, columns, values = analysis.columns([f"{joint}.{part}" for part in PARTS for joint in joints])
+    except NO_RESULT:
+        return []
+    of_part = dict(zip(PARTS, np.split(values, len(PARTS), axis=1)))
+    idle = [
+        joint not in acted and not np.nan_to_num(of_part["total_effort"][:, j]).any() for j, joint in enumerate(joints)
+    ]
+    for part in ("total_effort", "power"):
+        of_part[part][:, idle] = np.nan
     # Of each kind, joints with an effort first.
+    kinds = [[j for j, joint in enumerate(joints) if layout.coordinates.units[joint] == unit] for unit in ("rad", "m")]
     chosen = [
         name
-        for names in kinds.values()
-        for name in _chosen({n: joints[n][:, 0] for n in names}, {n: np.isfinite(joints[n][:, 2]).any() for n in names})
+        for kind in kinds
+        for name in _chosen(
+            {joints[j]: of_part["position"][:, j] for j in kind}, {joints[j]: not idle[j] for j in kind}
+        )
     ]
-    looks, plots = _looks(joints), []
-    for title, remark, k, unit, kind in JOINT_PLOTS:
-        curves = {name: joints[name][:, k] for name in kinds.get(kind, joints) if np.isfinite(joints[name][:, k]).any()}
-        if curves:
-            traces = _many_traces(times, curves, looks, chosen, jump=np.pi if unit == "rad" else np.inf)
-            plots.append((title, remark, {**plane(traces, bands, unit), "pick": "Joints"}))
-    return plots
+    return _column_plots(times, columns, np.hstack([*of_part.values()]), bands, JOINT_PLOTS, chosen)
 
 
-def _body_plots(analysis, bands):
-    """Plots of the positions of the body frames."""
-    stretches, names = analysis.motion.stretches, analysis.layout.body_names
-    every = max(1, sum(len(s.steps) for s in stretches) // MOST_TIMES)
-    times = joined([s.log_times[::every] for s in stretches])
-    places = joined([s.position[::every] for s in stretches])
-    chosen, looks = _chosen({name: places[:, n] for n, name in enumerate(names)}), _looks(names)
-    plots = []
-    for k, axis in enumerate("xyz"):
-        traces = _many_traces(times, {name: places[:, n, k] for n, name in enumerate(names)}, looks, chosen)
-        plot = {**plane(traces, bands, f"{axis} / m"), "pick": "Bodies"}
-        plots.append((f"Body positions, {axis}", "origins of the body frames, world axes", plot))
+def _column_plots(times, columns, values, bands, titles=MappingProxyType({}), chosen=None):
+    """Plots of Columns over time, by part and unit, with a curve for each owner.
+
+    titles : as JOINT_PLOTS, for the order and the texts;  chosen : owners that are visible at first
+    """
+    found, rank, plots = {}, {key: k for k, key in enumerate(titles)}, []
+    for name, unit, quantity, y in zip(columns.names, columns.units, columns.quantities, values.T):
+        owner, _, part = name.rpartition(".")
+        if np.isfinite(y).any():
+            found.setdefault((quantity.kind, quantity.frame, part, unit), {})[owner or name] = y
+    looks = _looks(dict.fromkeys(name for curves in found.values() for name in curves))
+    for (kind, frame, *key), curves in sorted(found.items(), key=lambda each: rank.get(each[0][2:], len(rank))):
+        title, remark = titles.get(tuple(key), (f"{kind.capitalize()} {key[0]}".strip().replace("_", " "), frame))
+        visible = _chosen(curves) if chosen is None else chosen
+        traces = _many_traces(times, curves, looks, visible, jump=np.pi if key[1] == "rad" else np.inf)
+        plots.append((title, remark or frame, {**plane(traces, bands, key[1]), "pick": PICKS[kind]}))
     return plots
 
 

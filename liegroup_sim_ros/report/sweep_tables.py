@@ -7,7 +7,7 @@ import numpy as np
 from rich.text import Text
 from scipy.stats import spearmanr
 
-from liegroup_core.study.sweep.sweep import OK
+from liegroup_core.study.sweep.sweep import LARGEST, OK
 from liegroup_sim_ros.numbers import counted, shown
 
 from .terminal import plain_table
@@ -115,8 +115,9 @@ def _usual(sweep):
         for name, kind in sweep.columns.items()
         if kind == "float" and name not in (*sweep.paths, "cpu_s", "time", "energy_start")
     ]
-    bodies = list(dict.fromkeys(name.rpartition(".")[0] for name in floats if "." in name))
-    return [name for name in floats if not name.rpartition(".")[0] or name.rpartition(".")[0] in bodies[:BODIES]]
+    owners = list(dict.fromkeys(name.rpartition(".")[0] for name in floats if "." in name))
+    shown = ["", LARGEST[:-1], *owners[:BODIES]]
+    return [name for name in floats if name.rpartition(".")[0] in shown]
 
 
 def _print_reasons(console, what, texts):

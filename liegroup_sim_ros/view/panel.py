@@ -9,6 +9,7 @@ from html import escape
 import numpy as np
 
 from liegroup_core.engine import METHOD
+from liegroup_core.observables.quantities import PLACES, RATES
 from liegroup_core.settings import SETTINGS
 
 from .export import save_html, save_picture, save_video
@@ -27,6 +28,8 @@ ON_PHONES = "<style>@media (max-width: 576px) {#webgl-software-rendering {displa
 BAD, PLAIN = "#c03030", "#3060c0"
 COLOURS = (PLAIN, "#808890", BAD, "#d08020")  # of the curves of a plot
 WITH_GAPS = ("beyond it", "distance to the pale motion")
+JOINT_PLOTS = {"position": "position", "velocity": "velocity", "effort": "effort of servo, drive and command"}
+FIRST_CHOICE, MOST_CURVES = "positions, m", 4  # of the plot of any quantity
 MOST_MARKS = 300  # events on the time line
 # Of a slider whose joint has no limits.
 ROUND, REACH = math.pi, 1.0  # rad; of the size of the mechanism
@@ -47,8 +50,9 @@ class Panel:
         """Make all controls anew, for another source."""
         for part in self._parts:
             part.remove()
-        self._sliders, self._efforts, self._touched = {}, [], -math.inf
+        self._sliders, self._efforts, self._touched, self._chosen = {}, [], -math.inf, None
         gui, source = self._gui, self._page.source
+        self._catalogue, self._functions = source.layout.catalogue, {}
         self._state = gui.add_html("")
         self._run_row = self._running(source)
         self._time = self._time_line()
@@ -137,14 +141,27 @@ class Panel:
         self._energy = self._plot("change of the energy, J", ("energy",)) if moves else None
         names = layout.coordinates.names
         self._joint = gui.add_dropdown("joint", tuple(names), initial_value=names[0]) if names else None
-        self._position = self._plot("position", ("position",)) if names else None
-        self._velocity = self._plot("velocity", ("velocity",)) if names and moves else None
-        self._effort = self._plot("effort of servo, drive and command", ("effort",)) if names and moves else None
+        parts = JOINT_PLOTS if moves else ("position",)
+        self._of_joint = {part: self._plot(JOINT_PLOTS[part], (part,)) for part in parts} if names else {}
         held = [joint.name for joint in layout.scene.joints] if moves else []
         self._held = gui.add_dropdown("reaction of", tuple(held), initial_value=held[0]) if held else None
         self._reaction = (
             self._plot("reaction as far as it is determined, N and N m", ("force", "torque")) if held else None
         )
+        if moves:
+            self._choose(gui)
+
+    def _choose(self, gui):
+        """Controls of a plot of any quantity: columns of one unit and of one body, joint, force or sensor."""
+        self._choices = {}
+        for group, quantity in self._catalogue.quantities.items():
+            for name, unit in zip(quantity.names, quantity.units):
+                own = self._choices.setdefault(f"{group}, {unit}" if unit else group, {})
+                own.setdefault(name.rpartition(".")[0] or group, []).append(name)
+        what = gui.add_dropdown("quantity", tuple(self._choices), initial_value=FIRST_CHOICE)
+        owner = gui.add_dropdown("of", tuple(self._choices[FIRST_CHOICE]))
+        what.on_update(lambda _: setattr(owner, "options", tuple(self._choices[what.value])))
+        self._chosen = what, owner, self._plot("", ("",) * MOST_CURVES)
 
     def _plot(self, title, names):
         from viser import uplot
@@ -358,12 +375,17 @@ class Panel:
         self._draw(self._error, history, since, {key: lambda f, v=v: _log10(v(f)) for key, v in errors.items()})
         self._draw(self._energy, history, since, {"energy": lambda f: f.sample.energy - base})
         if self._joint is not None:
-            joint = self._joint.value
-            coordinates = lambda f: f.sample.joint_coordinates.get(joint, (np.nan, np.nan))  # noqa: E731
-            self._draw(self._position, history, since, {f"position {joint}": lambda f: coordinates(f)[0]})
-            self._draw(self._velocity, history, since, {f"velocity {joint}": lambda f: coordinates(f)[1]})
-            efforts = lambda f: dressed(f).sample.all_efforts.get(joint, 0.0)  # noqa: E731
-            self._draw(self._effort, history, since, {f"effort {joint}": efforts})
+            for part, plot in self._of_joint.items():
+                name = f"{self._joint.value}.{part}"
+                if name in self._catalogue.places:
+                    self._draw(plot, history, since, {name: self._function(name)})
+        if self._chosen is not None:
+            what, owner, plot = self._chosen
+            names = self._choices[what.value].get(owner.value, ())
+            plot.rename(what.value, [name.rpartition(".")[2] for name in names])
+            curves = {name: self._function(name) for name in names}
+            curves |= {f"no curve {k}": lambda _: np.nan for k in range(len(names), MOST_CURVES)}
+            self._draw(plot, history, since, curves)
         if self._held is not None:
             held = self._held.value
             parts = {"force": slice(3, 6), "torque": slice(0, 3)}
@@ -375,6 +397,14 @@ class Panel:
                 position = frame.sample.joint_coordinates[joint][0]
                 if slider.min <= position <= slider.max:
                     slider.value = position
+
+    def _function(self, name):
+        """Function of a ViewFrame with the number of a column."""
+        if name not in self._functions:
+            columns, dressed = self._catalogue.columns([name]), self._page.source.dressed
+            acts = columns.depends[0] not in (PLACES, RATES)
+            self._functions[name] = lambda f: columns.of((dressed(f) if acts else f).sample)[0]
+        return self._functions[name]
 
     @staticmethod
     def _draw(plot, history, since, values):
@@ -405,6 +435,13 @@ class _Plot:
         """Show the power of ten."""
         shown = self._title + (f" / 1e{power}" if power else "")
         self._caption.content = f'<div style="padding:6px 12px 0;font-size:12px">{shown}</div>'
+
+    def rename(self, title, labels):
+        """Change the caption and the labels of the curves; those without one keep theirs."""
+        if title != self._title or labels != [series["label"] for series in self._plot.series[1 : len(labels) + 1]]:
+            self._title, series = title, self._plot.series
+            named = (s | {"label": label} for s, label in zip(series[1:], labels))
+            self._plot.series = (series[0], *named, *series[len(labels) + 1 :])
 
     def show(self, times, curves):
         """Draw curves (k,), and hide those without a number.

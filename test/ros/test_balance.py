@@ -12,7 +12,7 @@ from liegroup_sim_ros.analysis.analyse import analyse
 from liegroup_sim_ros.recording import read
 from liegroup_sim_ros.recording.read import read_recording
 from liegroup_sim_ros.recording.write_run import LogFile
-from liegroup_sim_ros.report.plots import JOINT_PLOTS, make_plots
+from liegroup_sim_ros.report.plots import JOINT_PLOTS, PARTS, make_plots
 from liegroup_sim_ros.report.summary import balance_rows
 
 MASS, SPEED, G, END = 2.0, 1.0, 9.81, 3.0  # kg, m/s, m/s^2, s
@@ -158,18 +158,18 @@ def test_curves_of_a_joint_are_those_of_the_closed_form(tmp_path):
     more = FORCE.format(f"linear_servo, joint: rail, stiffness: {K}, damping: {C}")
     scene = scene_from_text(SLIDE.format(gravity=0, joint="", speed=SPEED, more=more))
     analysis = analysed(tmp_path / "a.mcap", scene)
-    times, joints = analysis.joint_motion
+    times, _, values = analysis.columns([f"rail.{part}" for part in PARTS])
     x, v = oscillation(times)
     effort = -K * x - C * v
-    assert joints["rail"] == pytest.approx(np.stack([x, v, effort, effort * v], axis=1), abs=1e-9)
+    assert values == pytest.approx(np.stack([x, v, effort, effort * v], axis=1), abs=1e-9)
     drawn = {
         title: (plot["layout"]["yaxis"]["title"]["text"], plot["data"][0]["y"])
-        for title, _, plot in make_plots(analysis, bodies=True)
+        for title, _, plot in make_plots(analysis, ["positions"])
         if "pick" in plot
     }
     axes = "m", "m/s", "N", "W"
     assert [drawn[f"Joint {name}"][0] for name in ("displacements", "velocities", "forces", "powers")] == [*axes]
-    assert drawn["Body positions, x"][1] == pytest.approx(x.tolist(), abs=1e-4)
+    assert drawn["Body x"][1] == pytest.approx(x.tolist(), abs=1e-4)
 
 
 @pytest.mark.turn(3)
@@ -188,6 +188,6 @@ def test_many_joints_are_drawn_a_few_at_a_time_and_angles_without_jumps(tmp_path
     traces = plots["Joint angles"]["data"]
     assert len(traces) == 40 and not any(trace["showlegend"] for trace in traces)
     assert len([trace["name"] for trace in traces if trace["visible"]]) == 6
-    assert len({title for title, *_ in JOINT_PLOTS}) == len(JOINT_PLOTS)
+    assert len({title for title, _ in JOINT_PLOTS.values()}) == len(JOINT_PLOTS)
     fastest = traces[39]["y"]  # 3.9 rad/s for 3 s: from 0 to pi, and from -pi on
     assert fastest.count(None) == 2 and max(abs(y) for y in fastest if y is not None) <= math.pi

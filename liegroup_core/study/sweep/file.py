@@ -3,9 +3,9 @@
 
     NAME.parquet/runs-000000000-000000124.parquet       runs 0 to 124, one row per run
 
-pandas, pyarrow, Dask and Spark read the folder as one table, in the order of the runs. The metadata of
-each file describe the sweep. Files are written atomically, so an interruption loses no finished batch,
-and the same command continues with the missing runs.
+pandas, pyarrow, Dask and Spark read the folder as one table, in the order of the runs. The metadata of each file
+describe the sweep, those of a field its unit. Files are written atomically, so an interruption loses no finished
+batch, and the same command continues with the missing runs.
 """
 
 import fcntl
@@ -107,8 +107,9 @@ class SweepFile:
         """Write a batch of runs from sweep.Sweep.run. Raises SweepFileError."""
         pa, parquet = import_module("pyarrow"), import_module("pyarrow.parquet")
         kinds = {"int": pa.int64(), "float": pa.float64(), "text": pa.string(), "list": pa.list_(pa.float64())}
+        of_fields = {name: {"unit": unit} for name, unit in self.sweep.units.items()}
         schema = pa.schema(
-            [(name, kinds[kind]) for name, kind in self.sweep.columns.items()],
+            [pa.field(name, kinds[kind], metadata=of_fields.get(name)) for name, kind in self.sweep.columns.items()],
             {KEY: json.dumps(self.description, allow_nan=False).encode()},
         )
         first, last = int(columns["run"][0]), int(columns["run"][-1])

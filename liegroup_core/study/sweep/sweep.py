@@ -10,10 +10,12 @@ Run k depends only on the sweep and on k, not on other runs, workers or scheduli
 start or stops early gives a row with the reason as its status.
 """
 
+import itertools
 import math
 import time
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from scipy.stats.qmc import LatinHypercube
@@ -21,8 +23,9 @@ from scipy.stats.qmc import LatinHypercube
 from liegroup_core.compiling import source_digest
 from liegroup_core.errors import LieGroupSimError
 from liegroup_core.joint_events import has_impacts
+from liegroup_core.layout import make_layout
 from liegroup_core.linear.sensitivities import outputs_of, sensitivities
-from liegroup_core.observables.joint_forces import names_of_forces
+from liegroup_core.observables.quantities import WRENCH
 from liegroup_core.scene.assembly import assembled
 from liegroup_core.scene.load import scene_as_written
 from liegroup_core.scene.parameters import ParameterError, changed, parameters, range_of
@@ -31,9 +34,8 @@ from liegroup_core.study.tasks import TasksError
 from liegroup_core.study.tasks import run as run_tasks
 from liegroup_core.study.trade.measure import listening
 
-FORMAT = 1  # version of the description and of the columns
-POSE, TWIST = ("x", "y", "z", "qx", "qy", "qz", "qw"), ("wx", "wy", "wz", "vx", "vy", "vz")
-WRENCH = "tx", "ty", "tz", "fx", "fy", "fz"
+FORMAT = 2  # version of the description and of the columns
+STATES = ("time", "states")  # recorded columns
 CHECKS = 10  # default number of evaluations of energy and joints in a run
 # CPU time of a batch in s: far above the cost of its distribution, and short enough that an
 # interruption loses few runs. The number of batches is limited because each is a file.
@@ -42,7 +44,7 @@ MOST_VALUES = 2_000_000  # in the results of a batch
 MOST_DRAWS = 100_000_000  # sampled numbers, 0.8 GB
 FIRST = 0.2  # CPU s of the first runs, which measure the cost of a run
 SMALL = 5.0  # CPU s in total; for shorter sweeps, starting workers does not pay
-OK = "ok"
+OK, LARGEST = "ok", "largest."  # a status; before the names of columns with the largest magnitude in a run
 VELOCITIES = {"angular_velocity": 0, "linear_velocity": 3}  # first component in a twist
 PLACES = (["position"], ["rotation_vector"])
 NEAR = 1e-9  # round-off of assembly: larger changes of a sampled pose are reported
@@ -62,6 +64,7 @@ class Sweep:
     keep     : whether the states at these times are saved
     assemble : whether sampled poses and velocities are corrected to satisfy the joints
     reactions : whether the largest reactions of all joints are columns
+    record   : names of columns of the Catalogue, or groups, that are saved beside the states
     gradient : names of outputs, as of linear.sensitivities, whose derivatives at the end are columns
     settings : ((name, value), ...), arguments of Simulation, including the step
     sources  : digest of the sources, which must be the same on a worker
@@ -77,6 +80,7 @@ class Sweep:
     keep: bool
     assemble: bool
     reactions: bool
+    record: tuple
     gradient: tuple
     settings: tuple
     sources: str
@@ -93,6 +97,7 @@ class Sweep:
         assemble=False,
         settings=None,
         reactions=False,
+        record=(),
         gradient=(),
     ):
         """Sweep of a Scene with ranges as texts, see parameters.range_of; other arguments as above.
@@ -125,10 +130,11 @@ class Sweep:
         # This compiles the kernels and checks the configuration.
         simulation = Simulation(scene, **(settings or {}))
         settings = simulation.arguments
-        if reactions:
+        if reactions or record:
             simulation.layout.reactions.warm_up()
         if gradient:
             gradient = outputs_of(simulation, gradient)
+        simulation.layout.catalogue.names(record)  # raises SceneError for an unknown name
         return cls(
             scene.text,
             scene.name,
@@ -140,6 +146,7 @@ class Sweep:
             bool(every),
             assemble,
             reactions,
+            tuple(record),
             tuple(gradient),
             tuple(sorted(settings.items())),
             source_digest(),
@@ -194,17 +201,13 @@ class Sweep:
     @property
     def columns(self):
         """{name: "int", "float", "text" or "list"} of the results, see docs/how-to/sweep.md."""
+        recorded, largest = ([*columns.names] for columns in self._looks)
+        kept = [f"samples.{name}" for name in recorded] if self.keep else []
         scene = _base(self.text, self.name, False)
-        bodies = [body.name for body in scene.bodies]
-        state = [f"{body}.{part}" for body in bodies for part in POSE + TWIST]
-        kept = [f"samples.{name}" for name in ("time", *state)] if self.keep else []
-        joints = [joint.name for joint in scene.joints] if self.reactions else []
-        largest = [f"{joint}.{part}" for joint in joints for part in WRENCH]
-        if self.reactions:
-            largest += [f"{force}.effort" for force in names_of_forces(scene)]
-        if has_impacts(scene):
-            largest += [f"{joint}.impulse_{part}" for joint in joints for part in WRENCH]
-        floats = ("time", *state, "energy_start", "energy_drift", "joints", *largest, *self.derivatives)
+        largest = [f"{LARGEST}{name}" for name in largest]
+        if self.reactions and has_impacts(scene):
+            largest += _impulses(scene)
+        floats = (*recorded, "energy_start", "energy_drift", *largest, *self.derivatives)
         return (
             {"run": "int"}
             | dict.fromkeys(self.paths, "float")
@@ -213,6 +216,23 @@ class Sweep:
             | dict.fromkeys(kept, "list")
             | {"cpu_s": "float"}
         )
+
+    @property
+    def units(self):
+        """{column: unit} of the columns with one."""
+        recorded, largest = (dict(zip(columns.names, columns.units)) for columns in self._looks)
+        found = recorded | {f"samples.{name}": unit for name, unit in recorded.items()}
+        found |= {f"{LARGEST}{name}": unit for name, unit in largest.items()}
+        impulses = dict(
+            zip(_impulses(_base(self.text, self.name, False)), itertools.cycle(3 * ["N m s"] + 3 * ["N s"]))
+        )
+        found |= impulses | {"energy_start": "J", "energy_drift": "J", "cpu_s": "s"}
+        return {name: unit for name, unit in found.items() if unit}
+
+    @property
+    def _looks(self):
+        """(Columns that are saved, Columns whose largest magnitudes are saved)."""
+        return _looks(self.text, self.name, self.record, self.reactions)
 
     def run(self, runs, scheduler=None, workers=None):
         """Run the runs with these numbers, in ascending order; yields {column: (k,) values} of finished batches.
@@ -280,6 +300,21 @@ def _values(ranges, samples, seed):
 
 
 @lru_cache(maxsize=4)
+def _looks(text, name, record, reactions):
+    """As Sweep._looks: functions of Samples, which are the same for all runs."""
+    catalogue, largest = (
+        make_layout(scene_as_written(text, name)).catalogue,
+        ("reactions", "forces") if reactions else (),
+    )
+    return catalogue.columns((*STATES, *record)), catalogue.columns(("constraint_residual", *largest))
+
+
+def _impulses(scene):
+    """Names of the columns of the largest impulses of all joints."""
+    return [f"{LARGEST}{joint.name}.impulse_{part}" for joint in scene.joints for part in WRENCH]
+
+
+@lru_cache(maxsize=4)
 def _base(text, name, assemble):
     scene = scene_as_written(text, name)
     return scene.remade(assemble=True) if assemble else scene
@@ -323,46 +358,39 @@ def _run(sweep, values):
             if hits:
                 impulses.append(np.zeros((len(scene.joints), 6)))
                 simulation.drain_impacts()  # from here on, impacts are recorded
-            looks.append(_look(simulation, sweep.reactions))
+            looks.append(_look(simulation, sweep))
             while simulation.steps < sweep.steps:
                 simulation.advance(min(sweep.every, sweep.steps - simulation.steps))
-                looks.append(_look(simulation, sweep.reactions))
+                looks.append(_look(simulation, sweep))
                 if hits:
                     impulses += (np.abs(impact.array) for impact in simulation.drain_impacts())
                     impulses = [np.max(impulses, axis=0)]  # NaN where one is undetermined
         except (LieGroupSimError, ValueError, ArithmeticError) as error:
             status = " ".join(str(error).split()) or type(error).__name__
             if looks and simulation.steps > looks[-1].steps:
-                looks.append(_look(simulation, sweep.reactions))
+                looks.append(_look(simulation, sweep))
     found = {"status": status, "warning": None}
     if looks:
-        energy = np.array([sample.energy for sample in looks])
+        recorded, largest = sweep._looks
+        energy = np.array([look.energy for look in looks])
         found |= {
             "warning": simulation.doubt or next(iter(said), None),
             "energy_start": energy[0],
             "energy_drift": np.abs(energy - energy[0]).max(),
-            "joints": max(sample.constraint_residual for sample in looks),
         }
-        if sweep.reactions:
-            wrenches = [sample.reaction_array for sample in looks]
-            names = (f"{joint.name}.{part}" for joint in scene.joints for part in WRENCH)
-            found |= dict(zip(names, np.abs(wrenches).max(axis=0).ravel()))
-            efforts = np.abs([list(sample.force_efforts.values()) for sample in looks])
-            forces = (f"{force}.effort" for force in looks[0].force_efforts)
-            found |= dict(zip(forces, efforts.max(axis=0)))
-            if impulses:
-                names = (f"{j.name}.impulse_{part}" for j in scene.joints for part in WRENCH)
-                found |= dict(zip(names, impulses[0].ravel()))
-        states = np.array([_state(sample) for sample in (looks if sweep.keep else looks[-1:])])
-        names = ["time", *(f"{body}.{part}" for body in looks[0].body_names for part in POSE + TWIST)]
-        found |= dict(zip(names, states[-1]))
+        most = np.abs([look.largest for look in looks]).max(axis=0)
+        found |= {f"{LARGEST}{name}": number for name, number in zip(largest.names, most)}
+        if impulses:
+            found |= zip(_impulses(scene), impulses[0].ravel())
+        states = np.array([look.recorded for look in looks])
+        found |= zip(recorded.names, states[-1])
         if sweep.gradient and status == OK:
             try:
                 found |= _gradient(sweep, scene)
             except LieGroupSimError as error:
                 found["warning"] = found["warning"] or " ".join(f"no derivatives: {error}".split())
         if sweep.keep:
-            found |= {f"samples.{name}": column for name, column in zip(names, states.T.copy())}
+            found |= {f"samples.{name}": column for name, column in zip(recorded.names, states.T.copy())}
     return found | {"cpu_s": time.thread_time() - start}
 
 
@@ -374,20 +402,20 @@ def _gradient(sweep, scene):
     return dict(zip(sweep.derivatives, found.derivatives[0].ravel()))
 
 
-def _look(simulation, reactions):
+class _Look(NamedTuple):
+    """What is kept of a state: number of steps, energy, and numbers of the two Columns of Sweep._looks."""
+
+    steps: int
+    energy: float
+    recorded: np.ndarray
+    largest: np.ndarray
+
+
+def _look(simulation, sweep):
     sample = simulation.sample()
-    if reactions:
-        _ = sample.reaction_array  # computed and cached now, so that an error is raised here
     if not math.isfinite(sample.energy):
         raise ArithmeticError(f"the energy is not finite at t = {sample.time:.9g} s")
-    return sample
-
-
-def _state(sample):
-    """Time, and position, quaternion and twist of each body, in a row."""
-    return np.concatenate(
-        [[sample.time], np.concatenate([sample.pose[:, 9:], sample.orientation, sample.twist], axis=1).ravel()]
-    )
+    return _Look(sample.steps, sample.energy, *(columns.of(sample) for columns in sweep._looks))
 
 
 def describe(sweep):
@@ -404,6 +432,7 @@ def describe(sweep):
         "keep": sweep.keep,
         "assemble": sweep.assemble,
         "reactions": sweep.reactions,
+        "record": list(sweep.record),
         "gradient": list(sweep.gradient),
         "settings": dict(sweep.settings),
         "sources": sweep.sources,
@@ -424,6 +453,7 @@ def described(entries):
         entries["keep"],
         entries["assemble"],
         entries.get("reactions", False),
+        tuple(entries.get("record", ())),
         tuple(entries.get("gradient", ())),
         tuple(sorted(entries["settings"].items())),
         entries["sources"],
