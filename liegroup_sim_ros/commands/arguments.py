@@ -49,6 +49,12 @@ def count(text):
     return int(text)
 
 
+def add_parallel(parser):
+    """Add the options of work in parallel."""
+    parser.add_argument("--workers", type=count, metavar="N", help="number of processes (default: one per core)")
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="scheduler of a Dask cluster, such as tls://host:8786")
+
+
 def has_display():
     """Whether a browser can open: a text browser would take the terminal."""
     return sys.platform in ("darwin", "win32") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

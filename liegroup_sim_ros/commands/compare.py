@@ -22,6 +22,7 @@ from liegroup_sim_ros.report.compare_page import document, make_page, print_comp
 from liegroup_sim_ros.report.files import check_files, write_text
 from liegroup_sim_ros.signals import Signals
 
+from .arguments import count
 from .robot_options import add_robot_options, robot_scene
 from .states import stopped
 
@@ -46,7 +47,7 @@ def add_log(parser, least="+"):
         metavar="S",
         help="length in s of the parts of the log that each start anew (default: %(default)g)",
     )
-    parser.add_argument("--workers", type=int, metavar="N", help="number of threads (default: one per core)")
+    parser.add_argument("--workers", type=count, metavar="N", help="number of threads (default: one per core)")
     parser.add_argument("--json", metavar="FILE", help="write all figures as JSON; - prints it")
     parser.add_argument("--html", metavar="PAGE", help="write a self-contained HTML page")
     add_robot_options(parser)
@@ -98,8 +99,6 @@ def run(args):
 def check_log(args):
     """Raise LogError or ReportError for wrong arguments, before the work."""
     check_files(None if args.json == "-" else args.json, args.html)
-    if args.workers is not None and args.workers < 1:
-        raise LogError(f"--workers must be at least 1, got {args.workers}")
     if not 0.0 < args.segment < 1e9:
         raise LogError(f"--segment must be a positive number of seconds, got {args.segment:g}")
 

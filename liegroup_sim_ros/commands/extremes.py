@@ -17,6 +17,8 @@ from liegroup_sim_ros.report.extremes_page import write_page
 from liegroup_sim_ros.report.extremes_tables import document, print_axis, print_end
 from liegroup_sim_ros.report.files import check_files, write_file, write_text
 
+from .arguments import add_parallel
+
 EXIT_SILENT, EXIT_INTERRUPTED = 1, 130
 SHORTEST = 1e-3  # s, the step of runs with scaled velocities
 
@@ -48,8 +50,7 @@ def add_arguments(parser):
     )
     parser.add_argument("--quick", action="store_true", help="test a few values of each axis")
     parser.add_argument("--long", action="store_true", help="include runs of 1e7 steps")
-    parser.add_argument("--workers", type=int, metavar="N", help="number of processes (default: one per core)")
-    parser.add_argument("--scheduler", metavar="ADDRESS", help="scheduler of a Dask cluster, such as tls://host:8786")
+    add_parallel(parser)
     parser.add_argument("--png", metavar="FILE", help="write the heat map as an image")
     parser.add_argument("--json", metavar="FILE", help="write all cells as JSON")
     parser.add_argument("--markdown", metavar="FILE", help="write the map as Markdown tables")
@@ -92,8 +93,6 @@ def _wanted(args):
     unknown = [name for name in args.methods if name not in METHOD_NAMES]
     if unknown:
         raise ExtremesError(f"unknown method {unknown[0]!r}; choose one of: {', '.join(METHOD_NAMES)}")
-    if args.workers is not None and args.workers < 1:
-        raise ExtremesError(f"--workers must be at least 1, got {args.workers}")
     if not (math.isfinite(args.horizon) and args.horizon >= SHORTEST):
         raise ExtremesError(f"--horizon must be at least {SHORTEST:g} s, got {args.horizon:g}")
     check_files(args.json, args.markdown, picture=args.png)

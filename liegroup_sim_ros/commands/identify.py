@@ -19,8 +19,9 @@ from liegroup_sim_ros.logs.map import load_map
 from liegroup_sim_ros.numbers import shown
 from liegroup_sim_ros.recording.errors import OutputError
 from liegroup_sim_ros.recording.write_tables import close_new, new_file
-from liegroup_sim_ros.report.compare_page import NUMBER_HEAD, number_remarks, number_rows
-from liegroup_sim_ros.report.terminal import plain_table
+from liegroup_sim_ros.report.compare_page import NUMBERS, number_remarks
+from liegroup_sim_ros.report.tables import TextTable, table_of
+from liegroup_sim_ros.report.terminal import printed
 
 from .compare import LogError, add_log, check_log, log_of, show
 from .robot_options import robot_scene
@@ -121,7 +122,7 @@ def _plan(args):
     for k, (path, value) in enumerate(zip(found.paths, found.values)):
         each = [found.deviations, *found.alone.values()]
         rows.append((path, f"{value:.6g}", *(shown(one[k]) if np.isfinite(one[k]) else "-" for one in each)))
-    Console(file=sys.stdout).print(plain_table(None, heads, rows, len(heads)))
+    Console(file=sys.stdout).print(printed(TextTable(None, heads, rows, len(heads))))
     return 0
 
 
@@ -200,7 +201,7 @@ def _figures(found):
 
 
 def _print(figures, console):
-    console.print(plain_table(None, NUMBER_HEAD, number_rows(figures["numbers"]), len(NUMBER_HEAD)))
+    console.print(printed(table_of(NUMBERS, figures["numbers"])))
     for text in number_remarks(figures):
         console.print(Text(text, style="yellow"))
 

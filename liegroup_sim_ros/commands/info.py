@@ -8,14 +8,14 @@ import json
 import sys
 
 from rich.console import Console
-from rich.table import Table
-from rich.text import Text
 
 from liegroup_sim_ros.numbers import counted
 from liegroup_sim_ros.recording import RecordingError
 from liegroup_sim_ros.recording.check import is_promise
 from liegroup_sim_ros.recording.damaged_survey import survey
 from liegroup_sim_ros.recording.walk import clean
+from liegroup_sim_ros.report.tables import TextTable, table_of
+from liegroup_sim_ros.report.terminal import printed
 
 # Entries of settings.json that are shown.
 OF_SETTINGS = (
@@ -90,10 +90,10 @@ def as_json(found):
 def print_survey(found, console):
     """Print a Survey as tables."""
     content = as_json(found)
-    table = Table(show_header=False, box=None, pad_edge=False)
+    rows = []
 
     def row(name, text):
-        table.add_row(name, Text(clean(text)))
+        rows.append((name, clean(text)))
 
     row("file", f"{found.path}, {found.size / 1e6:.3f} MB")
     if found.complete:
@@ -127,10 +127,14 @@ def print_survey(found, console):
         "attachments",
         ", ".join(f"{name} ({counted(size, 'byte')})" for name, _, size in found.attachments[:20]) or "none",
     )
-    console.print(table)
+    console.print(printed(TextTable(None, ("", ""), rows, 2)))
     if found.channels:
         console.print()
-        console.print(topics_table(found))
+        figures = found.figures[:MOST_ROWS]
+        table = table_of(TOPICS, figures, folded=2)._replace(right=(2, 3, 4))
+        if len(found.channels) > MOST_ROWS:
+            table.rows.append((f"and {len(found.channels) - MOST_ROWS} more", "", "", "", ""))
+        console.print(printed(table))
 
 
 def listed(problems):
@@ -138,35 +142,18 @@ def listed(problems):
     return [text + (f" ({n} times)" if n > 1 else "") for text, n in problems.items()]
 
 
-def topics_table(found):
-    """Table of the topics of a Survey: messages, rates, dropped messages."""
-    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    for name, side in (
-        ("topic", "left"),
-        ("type", "left"),
-        ("messages", "right"),
-        ("per s", "right"),
-        ("dropped", "right"),
-    ):
-        table.add_column(name, justify=side, overflow="fold", no_wrap=side == "right")
-    for channel, tally, lost in found.figures[:MOST_ROWS]:
-        table.add_row(
-            Text(clean(channel.topic)),
-            Text(clean(channel.type).replace("/msg/", "/")),
-            str(tally.count),
-            _rate(tally.rate),
-            str(lost),
-        )
-    if len(found.channels) > MOST_ROWS:
-        table.add_row(f"and {len(found.channels) - MOST_ROWS} more", "", "", "", "")
-    return table
+def _rate(rate):
+    return "" if rate is None else f"{rate:.3f}".rstrip("0").rstrip(".")
 
 
 MOST_ROWS = 200
-
-
-def _rate(rate):
-    return "" if rate is None else f"{rate:.3f}".rstrip("0").rstrip(".")
+TOPICS = {
+    "topic": lambda each: clean(each[0].topic),
+    "type": lambda each: clean(each[0].type).replace("/msg/", "/"),
+    "messages": lambda each: str(each[1].count),
+    "per s": lambda each: _rate(each[1].rate),
+    "dropped": lambda each: str(each[2]),
+}
 
 
 def _recovered_from(found):

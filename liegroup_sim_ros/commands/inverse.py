@@ -23,7 +23,8 @@ from liegroup_sim_ros.numbers import counted, shown
 from liegroup_sim_ros.recording.motion import RecordedMotion
 from liegroup_sim_ros.recording.read import read_recording
 from liegroup_sim_ros.recording.write_tables import new_file
-from liegroup_sim_ros.report.terminal import plain_table
+from liegroup_sim_ros.report.tables import table_of
+from liegroup_sim_ros.report.terminal import printed
 
 from .robot_options import add_robot_options, robot_scene
 from .states import StateError, refuse_repeated, stopped
@@ -270,20 +271,19 @@ def _write(path, found, names, units):
             writer.writerow([repr(float(x)) for x in (time, *np.stack([efforts, power], 1).ravel(), rest)])
 
 
+COLUMNS = {
+    "joint": lambda row: row["joint"],
+    "peak effort": lambda row: shown(row["peak_effort"], row["unit"]),
+    "rms": lambda row: shown(row["rms_effort"], row["unit"]),
+    "peak power": lambda row: shown(row["peak_power_W"], "W"),
+    "energy": lambda row: shown(row["energy_J"], "J"),
+    "": lambda row: "others can take its part" if row["undetermined"] else "",
+}
+
+
 def _print(scene, rows, residual, sampling, times, unit):
     console = Console(file=sys.stdout)
     console.print(Text(f"{scene}: {len(times)} instants from {times[0]:.9g} to {times[-1]:.9g} s", style="bold"))
-    cells = [
-        (
-            row["joint"],
-            shown(row["peak_effort"], row["unit"]),
-            shown(row["rms_effort"], row["unit"]),
-            shown(row["peak_power_W"], "W"),
-            shown(row["energy_J"], "J"),
-            "others can take its part" if row["undetermined"] else "",
-        )
-        for row in rows
-    ]
-    console.print(plain_table(None, ("joint", "peak effort", "rms", "peak power", "energy", ""), cells, 6))
+    console.print(printed(table_of(COLUMNS, rows)))
     console.print(Text(f"uncertainty of accelerations between the samples: {shown(sampling, unit)}", style="dim"))
     console.print(Text(f"largest acceleration that the efforts cannot produce: {shown(residual, unit)}", style="dim"))

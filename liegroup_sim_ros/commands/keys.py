@@ -8,7 +8,8 @@ from rich.text import Text
 
 from liegroup_core.errors import LieGroupSimError
 from liegroup_core.scene.keys import key_tables
-from liegroup_sim_ros.report.terminal import plain_table
+from liegroup_sim_ros.report.tables import TextTable
+from liegroup_sim_ros.report.terminal import printed
 
 
 class UnknownWord(LieGroupSimError):
@@ -39,7 +40,7 @@ def run(args):
             continue
         console.print(Text(table.title, style="bold"), Text(f"({table.summary.rstrip('.')})"))
         rows = [(key.name, key.default, key.meaning) for key in table.keys]
-        console.print(plain_table(None, ("key", "default", "meaning"), rows, 3))
+        console.print(printed(TextTable(None, ("key", "default", "meaning"), rows, 3)))
         console.print()
     return 0
 

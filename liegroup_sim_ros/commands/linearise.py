@@ -12,7 +12,8 @@ from rich.text import Text
 from liegroup_core.linear import change_along, linearise, pole_errors
 from liegroup_core.linear.channels import INPUTS
 from liegroup_sim_ros.numbers import counted, shown
-from liegroup_sim_ros.report.terminal import plain_table
+from liegroup_sim_ros.report.tables import TextTable
+from liegroup_sim_ros.report.terminal import printed
 
 from .states import StateError, add_states, print_json, states
 
@@ -128,7 +129,7 @@ def print_system(system, time, console, errors=None, change=0.0):
             )
         )
     heads = ("pole, 1/s and rad/s", *(["error of the pole"] if known else []), "frequency", "damping", "")
-    console.print(plain_table(None, heads, rows, len(heads)))
+    console.print(printed(TextTable(None, heads, rows, len(heads))))
     if len(poles) > MOST_ROWS:
         console.print(Text(f"and {len(poles) - MOST_ROWS} more: --json prints all", style="dim"))
     zeros = system.zeros

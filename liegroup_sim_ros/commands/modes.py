@@ -11,7 +11,8 @@ from liegroup_core import Simulation, SimulationError
 from liegroup_core.engine import METHOD
 from liegroup_core.linear import linearise, modes_of, transition, trim
 from liegroup_sim_ros.numbers import shown
-from liegroup_sim_ros.report.terminal import plain_table
+from liegroup_sim_ros.report.tables import TextTable
+from liegroup_sim_ros.report.terminal import printed
 from liegroup_sim_ros.signals import Signals
 
 from .linearise import damping_text, pole_text
@@ -89,7 +90,7 @@ def _multipliers(args, console):
             text = f"{simulation.scene.name} from {time:.9g} s, over {args.period:.9g} s: {kind}"
             console.print(Text(text, style="bold"))
             rows = [(pole_text(value), f"{abs(value):.9g}") for value in map(complex, values) if value.imag >= 0.0]
-            console.print(plain_table(None, ("multiplier", "magnitude"), rows, 2))
+            console.print(printed(TextTable(None, ("multiplier", "magnitude"), rows, 2)))
             console.print(Text(f"relative error of the state transition: {shown(result.error)}", style="dim"))
     return print_json(args, found)
 
@@ -131,7 +132,7 @@ def _print(system, modes, time, console):
         shape = ", ".join(f"{system.freedoms[k]} {_part(mode.shape[k])}" for k in order if abs(mode.shape[k]) > 1e-3)
         frequency = f"{mode.frequency:.6g} Hz" if mode.frequency else "-"
         rows.append((frequency, damping_text(mode.damping), pole_text(mode.pole), shape))
-    console.print(plain_table(None, ("frequency", "damping", "pole, 1/s and rad/s", "shape"), rows, 4))
+    console.print(printed(TextTable(None, ("frequency", "damping", "pole, 1/s and rad/s", "shape"), rows, 4)))
 
 
 def _part(value):

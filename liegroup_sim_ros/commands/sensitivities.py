@@ -12,7 +12,8 @@ from rich.text import Text
 from liegroup_core import SimulationError
 from liegroup_core.linear import sensitivities
 from liegroup_sim_ros.numbers import shown
-from liegroup_sim_ros.report.terminal import plain_table
+from liegroup_sim_ros.report.tables import TextTable
+from liegroup_sim_ros.report.terminal import printed
 
 from .robot_options import add_robot_options, robot_scene
 from .states import StateError, stopped
@@ -57,7 +58,7 @@ def run(args):
         for p, name in enumerate(found.outputs):
             cells = (f"{x:.6g} ± {shown(e)}" for x, e in zip(found.derivatives[k, p], found.errors[k, p]))
             rows.append((name, f"{found.values[k, p]:.6g}", *cells))
-        console.print(plain_table(f"at {time:.9g} s", heads, rows, len(heads)))
+        console.print(printed(TextTable(f"at {time:.9g} s", heads, rows, len(heads))))
     if found.rough:
         names = ", ".join(found.rough)
         console.print(Text(f"no derivative, because runs to both sides behave differently: {names}", style="yellow"))

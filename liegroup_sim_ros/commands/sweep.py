@@ -23,6 +23,7 @@ from liegroup_sim_ros.recording.attachments import versions
 from liegroup_sim_ros.report.sweep_tables import print_sweep
 from liegroup_sim_ros.version import __version__
 
+from .arguments import add_parallel
 from .run import RunError, divides, given_settings, whole_steps
 from .setting_options import add_settings
 
@@ -91,8 +92,7 @@ def add_arguments(parser):
         help="add the derivatives of outputs at the end by all varied numbers: "
         "names as of `liegroup_sim run --columns`",
     )
-    parser.add_argument("--workers", type=int, metavar="N", help="number of processes (default: one per core)")
-    parser.add_argument("--scheduler", metavar="ADDRESS", help="scheduler of a Dask cluster, such as tls://host:8786")
+    add_parallel(parser)
     parser.add_argument(
         "--show",
         nargs="+",
@@ -115,8 +115,6 @@ def run(args):
     for name in ("samples", "duration", "out"):
         if getattr(args, name) is None:
             raise RunError(f"--{name} is missing")
-    if args.workers is not None and args.workers < 1:
-        raise RunError(f"--workers must be at least 1, got {args.workers}")
     console = Console(stderr=True)
     with console.status("starting (the first run of a kind of mechanism compiles for about 20 s)"):
         sweep, description = _sweep_of(scene, args)

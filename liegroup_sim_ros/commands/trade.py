@@ -18,6 +18,8 @@ from liegroup_core.study.trade.trade import BUDGET, Trade
 from liegroup_sim_ros.report.files import check_files, write_file, write_text
 from liegroup_sim_ros.report.trade_figures import document_part, print_trade
 
+from .arguments import add_parallel
+
 STABILISATIONS = SETTINGS["stabilisation"].choices
 FORMAT = 1  # of the JSON document, config/trade.schema.json
 
@@ -70,8 +72,7 @@ def add_arguments(parser):
         metavar="S",
         help="limit of CPU time per run in s (default: %(default)g)",
     )
-    parser.add_argument("--workers", type=int, metavar="N", help="number of processes (default: one per core)")
-    parser.add_argument("--scheduler", metavar="ADDRESS", help="scheduler of a Dask cluster, such as tls://host:8786")
+    add_parallel(parser)
     parser.add_argument("--json", metavar="FILE", help="write all measurements as JSON")
     parser.add_argument("--html", metavar="PAGE", help="write a self-contained HTML report")
     parser.add_argument(
@@ -151,8 +152,6 @@ def _check(args):
         for name in given or ():
             if name not in known:
                 raise TradeError(f"unknown {what} {name!r}; choose one of: {', '.join(known)}")
-    if args.workers is not None and args.workers < 1:
-        raise TradeError(f"--workers must be at least 1, got {args.workers}")
     if not args.budget > 0.0:
         raise TradeError(f"--budget must be a positive number of seconds, got {args.budget:g}")
     if args.png and len(args.scenes) > 1:

@@ -10,12 +10,9 @@ from liegroup_sim_ros.numbers import counted, shown
 
 from .page import frame, plot_card, table, unbroken
 from .plots import COLOURS, joined, line, plane
-from .terminal import plain_table
+from .tables import TextTable, table_of
+from .terminal import printed
 
-CHANNEL_HEAD = ("output", "measurements", "noise", "rms", "rms / noise", "largest", "white")
-EFFECT_HEAD = ("effect", "size", "explains")
-NUMBER_HEAD = ("number", "in the scene", "found", "95 % interval")
-START_HEAD = ("start", "value", "deviation", "largest deviation")
 EFFECTS_TITLE = "Effects that would explain them, one after the other"
 MOST_PLOTS, MOST_EFFECTS, MOST_MISSING = 12, 8, 2
 BAND = 2.0  # deviations of the noise
@@ -74,8 +71,8 @@ def _start(start):
     return {"time": float(start.time), "state": [dict(zip(parts, row)) for row in zip(*parts.values())]}
 
 
-def start_rows(result):
-    """Rows of START_HEAD, of the first segment."""
+def start_table(result):
+    """Table of the start of the first segment."""
     found = []
     for k, each in enumerate(result["starts"][0]["state"]):
         deviations = [start["state"][k]["deviation"] for start in result["starts"]]
@@ -83,17 +80,36 @@ def start_rows(result):
             "not shown by the log" if None in some else shown(max(some)) for some in (deviations[:1], deviations)
         )
         found.append((each["name"], f"{each['value']:.7g}", own, most))
-    return found
+    heads = ("start", "value", "deviation", "largest deviation")
+    return TextTable(f"Start at {round(result['starts'][0]['time'], 6):g} s", heads, found)
 
 
-def number_rows(numbers):
-    """Rows of NUMBER_HEAD, of an identification."""
-    found = []
-    for each in numbers:
-        low, high = each["interval"] or (np.nan, np.nan)
-        interval = "the bag does not show it" if each["interval"] is None else f"{low:.6g} to {high:.6g}"
-        found.append((each["name"], f"{each['before']:.6g}", f"{each['value']:.6g}", interval))
-    return found
+def _interval(each):
+    low, high = each["interval"] or (np.nan, np.nan)
+    return "the bag does not show it" if each["interval"] is None else f"{low:.6g} to {high:.6g}"
+
+
+# Columns of tables, see tables.py.
+NUMBERS = {
+    "number": lambda each: each["name"],
+    "in the scene": lambda each: f"{each['before']:.6g}",
+    "found": lambda each: f"{each['value']:.6g}",
+    "95 % interval": _interval,
+}
+CHANNELS = {
+    "output": lambda each: each["name"],
+    "measurements": lambda each: str(each["count"]),
+    "noise": lambda each: shown(each["deviation"]),
+    "rms": lambda each: shown(each["rms"]),
+    "rms / noise": lambda each: shown(each["chi"]),
+    "largest": lambda each: f"{shown(each['largest'])} at {each['time']:.4g} s",
+    "white": lambda each: "yes" if each["p_white"] > WHITE else "no",
+}
+EFFECTS = {
+    "effect": lambda each: each["text"],
+    "size": lambda each: f"{shown(each['value'], each['unit'])} ± {shown(each['deviation'])}",
+    "explains": lambda each: f"{100.0 * each['share']:.3g} %",
+}
 
 
 def number_remarks(result):
@@ -108,43 +124,16 @@ def number_remarks(result):
     return found
 
 
-def channel_rows(result):
-    """Rows of CHANNEL_HEAD."""
-    return [
-        (
-            each["name"],
-            str(each["count"]),
-            shown(each["deviation"]),
-            shown(each["rms"]),
-            shown(each["chi"]),
-            f"{shown(each['largest'])} at {each['time']:.4g} s",
-            "yes" if each["p_white"] > WHITE else "no",
-        )
-        for each in result["channels"]
-    ]
-
-
-def effect_rows(effects):
-    """Rows of EFFECT_HEAD."""
-    return [
-        (
-            each["text"],
-            f"{shown(each['value'], each['unit'])} ± {shown(each['deviation'])}",
-            f"{100.0 * each['share']:.3g} %",
-        )
-        for each in effects
-    ]
-
-
 def print_comparison(result, console):
     """Print the verdict and the tables."""
     console.print(Text(f"{result['scene']} against {result['log']}", style="bold"))
     console.print(Text(result["verdict"], style="green" if result["agrees"] else "yellow"))
-    for head, rows in (
-        (CHANNEL_HEAD, channel_rows(result)),
-        (("effect, each alone", *EFFECT_HEAD[1:]), effect_rows(result["alone"][:MOST_EFFECTS])),
+    alone = table_of(EFFECTS, result["alone"][:MOST_EFFECTS])
+    for each in (
+        table_of(CHANNELS, result["channels"]),
+        alone._replace(heads=("effect, each alone", *alone.heads[1:])),
     ):
-        console.print(plain_table(None, head, rows, len(head)))
+        console.print(printed(each))
     for text in _remarks(result):
         console.print(Text(text, style="dim"))
 
@@ -176,7 +165,7 @@ def make_page(comparison, result):
     found = ""
     if "numbers" in result:
         remarks = "".join(f'<p class="soft">{unbroken(text)}</p>' for text in number_remarks(result))
-        rows = table("Numbers", NUMBER_HEAD, number_rows(result["numbers"]))
+        rows = table(table_of(NUMBERS, result["numbers"], "Numbers"))
         found = f'<div class="cards">{rows}</div>{remarks}'
     body = (
         f"<header><h1>{escape(result['scene'])} against {escape(result['log'])}</h1>"
@@ -184,11 +173,11 @@ def make_page(comparison, result):
         f'<p class="verdict">{unbroken(result["verdict"])}</p>'
         + found
         + '<div class="cards">'
-        + table("Residuals", CHANNEL_HEAD, channel_rows(result))
+        + table(table_of(CHANNELS, result["channels"], "Residuals"))
         + '</div><div class="cards">'
-        + (table(EFFECTS_TITLE, EFFECT_HEAD, effect_rows(result["effects"])) if result["effects"] else "")
-        + table("Effects, each alone", EFFECT_HEAD, effect_rows(result["alone"][:MOST_EFFECTS]))
-        + table(f"Start at {round(result['starts'][0]['time'], 6):g} s", START_HEAD, start_rows(result))
+        + (table(table_of(EFFECTS, result["effects"], EFFECTS_TITLE)) if result["effects"] else "")
+        + table(table_of(EFFECTS, result["alone"][:MOST_EFFECTS], "Effects, each alone"))
+        + table(start_table(result))
         + "</div>"
         + "".join(f'<p class="soft">{unbroken(text)}</p>' for text in _remarks(result))
         + '<div class="cards" data-part="0">'

@@ -58,15 +58,20 @@ def _numbers(cells):
     yield ""
 
 
-def _table(axis, cells, methods):
+def verdicts(axis, cells, methods):
+    """(values, [(method, [verdict or None at each value])]) of an axis, of the methods that have some."""
     values = [value for value in axis.values if any(cell["value"] == value for cell in cells)]
-    place = {(cell["method"], cell["value"]): SIGNS[cell["verdict"]] for cell in cells}
+    place = {(cell["method"], cell["value"]): cell["verdict"] for cell in cells}
+    rows = [(method, [place.get((method, value)) for value in values]) for method in methods]
+    return values, [row for row in rows if any(row[1])]
+
+
+def _table(axis, cells, methods):
+    values, rows = verdicts(axis, cells, methods)
     yield f"## {axis.title}{f', {axis.unit}' if axis.unit else ''}"
     yield ""
     yield "| | " + " | ".join(map(shown, values)) + " |"
     yield "|---|" + "---|" * len(values)
-    for method in methods:
-        row = [place.get((method, value), "") for value in values]
-        if any(row):
-            yield f"| {method} | " + " | ".join(row) + " |"
+    for method, row in rows:
+        yield f"| {method} | " + " | ".join(SIGNS.get(verdict, "") for verdict in row) + " |"
     yield ""

@@ -9,7 +9,7 @@ from rich.text import Text
 
 from liegroup_core.study.extremes.extremes import VERDICTS, counts, silent
 
-from .extremes_page import SIGNS, shown
+from .extremes_page import SIGNS, shown, verdicts
 
 WIDTH = 200  # characters; all tables fit into this width
 STYLES = dict(zip(VERDICTS, ("green", "yellow", "blue", "cyan", "dim", "bold white on red")))
@@ -41,19 +41,14 @@ def _finite(value):
 
 def print_axis(axis, cells, methods, console):
     """Print the verdicts of an axis: a row for each method, a column for each value."""
-    values = [value for value in axis.values if any(cell["value"] == value for cell in cells)]
-    by_place = {(cell["method"], cell["value"]): cell["verdict"] for cell in cells}
+    values, rows = verdicts(axis, cells, methods)
     console.print(Text(axis.title + (f", {axis.unit}" if axis.unit else ""), style="bold"), soft_wrap=True)
     table = Table(box=None, padding=(0, 1, 0, 0))
     table.add_column("", no_wrap=True)
     for value in values:
         table.add_column(shown(value), justify="center", no_wrap=True)
-    for method in methods:
-        row = [by_place.get((method, value)) for value in values]
-        if any(row):
-            table.add_row(
-                Text(method), *(Text(SIGNS[verdict], style=STYLES[verdict]) if verdict else Text("") for verdict in row)
-            )
+    for method, row in rows:
+        table.add_row(Text(method), *(Text(SIGNS.get(each, ""), style=STYLES.get(each, "")) for each in row))
     console.print(table, width=WIDTH, crop=False)
     console.print()
 

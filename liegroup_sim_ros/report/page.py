@@ -15,17 +15,7 @@ from importlib.resources import files
 from liegroup_sim_ros.numbers import NO_NUMBER, counted
 
 from .plots import difference_plot, make_plots
-from .summary import (
-    BALANCE_HEAD,
-    BALANCE_TITLE,
-    OVERVIEW,
-    balance_rows,
-    comparison_rows,
-    headline,
-    overview,
-    sections,
-    short_names,
-)
+from .summary import OVERVIEW, balance_table, comparison_rows, headline, overview, sections, short_names
 from .view import make_view, speeds
 
 MOST_PARTS = 20  # largest number of recordings with plots in a report; further ones have tables only
@@ -203,7 +193,7 @@ def _listed(found, names, problems_of, exceeded):
 def _plots(part):
     view = _view(part["view"], bool(part["plots"])) if part["view"] else ""
     balance = part["figures"].get("balance", {})
-    energies = table(BALANCE_TITLE, BALANCE_HEAD, balance_rows(balance)) if "stored" in balance else ""
+    energies = table(balance_table(balance)) if "stored" in balance else ""
     return f'<div class="cards">{view}{energies}{_plot_cards(part["plots"])}</div>'
 
 
@@ -292,22 +282,22 @@ def _tiles(figures):
     return f'<div class="tiles">{tiles}</div>'
 
 
-def table(title, heads, rows):
-    """HTML of a table with heads, in a card of its own."""
-    return (
-        f'<section class="card"><h3>{escape(title)}</h3>'
-        '<table class="logs"><thead><tr>'
-        + "".join(f"<th>{escape(head)}</th>" for head in heads)
-        + "</tr></thead><tbody>"
+def table(content):
+    """HTML of a Table, in a card of its own."""
+    title = f"<h3>{escape(content.title)}</h3>" if content.title else ""
+    heads = "".join(f"<th>{escape(head)}</th>" for head in content.heads)
+    rows = "".join(
+        "<tr>"
         + "".join(
-            "<tr>"
-            + "".join(
-                f'<td data-what="{escape(head)}"><span>{unbroken(cell)}</span></td>' for head, cell in zip(heads, row)
-            )
-            + "</tr>"
-            for row in rows
+            f'<td data-what="{escape(head)}"><span>{unbroken(cell)}</span></td>'
+            for head, cell in zip(content.heads, row)
         )
-        + "</tbody></table></section>"
+        + "</tr>"
+        for row in content.rows
+    )
+    return (
+        f'<section class="card">{title}<table class="logs"><thead><tr>{heads}</tr></thead>'
+        f"<tbody>{rows}</tbody></table></section>"
     )
 
 

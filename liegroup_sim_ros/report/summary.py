@@ -5,6 +5,8 @@ from liegroup_sim_ros.analysis.estimate import error_of
 from liegroup_sim_ros.analysis.timing import is_paced, requested_text
 from liegroup_sim_ros.numbers import GROUPS, NO_MOMENTUM, counted, error_text, shown
 
+from .tables import TextTable
+
 MOST_JOINTS = 8  # number of joints in the table; the JSON document has all
 # {part of an error in the analysis: name in tables}
 PARTS = {
@@ -275,11 +277,11 @@ def _event_count(entry):
 
 
 RESOLVED = 0.1  # error of the work, relative to the largest work, up to which a balance says something
-BALANCE_TITLE, BALANCE_HEAD = "Energy balance", ("", "start", "end", "change")
+BALANCE_TITLE = "Energy balance"
 
 
-def balance_rows(balance):
-    """Rows of the energy balance, a text for each of BALANCE_HEAD; balance : entry of the figures."""
+def balance_table(balance):
+    """Table of the energy balance; balance : entry of the figures."""
 
     def row(name, *values):
         return (name, *("" if value is None else f"{value:.6g} J" if value else "0 J" for value in values))
@@ -297,7 +299,7 @@ def balance_rows(balance):
     rows.append(row("largest during the run", None, None, balance["largest_J"]))
     if balance["quadrature_J"]:
         rows.append(row("estimated error of the work", None, None, balance["quadrature_J"]))
-    return rows
+    return TextTable(BALANCE_TITLE, ("", "start", "end", "change"), rows)
 
 
 def _timing_rows(timing):

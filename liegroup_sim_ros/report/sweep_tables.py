@@ -10,7 +10,8 @@ from scipy.stats import spearmanr
 from liegroup_core.study.sweep.sweep import LARGEST, OK
 from liegroup_sim_ros.numbers import counted, shown
 
-from .terminal import plain_table
+from .tables import TextTable
+from .terminal import printed
 
 WIDTH = 130  # characters; in a narrower terminal, lines wrap
 QUANTILES = (0.0, 0.05, 0.5, 0.95, 1.0)
@@ -135,4 +136,4 @@ def _print_reasons(console, what, texts):
 
 def _print(console, title, heads, rows):
     if rows:
-        console.print(plain_table(title, heads, rows))
+        console.print(printed(TextTable(title, heads, rows)))

@@ -6,16 +6,8 @@ from rich.text import Text
 
 from liegroup_sim_ros.numbers import NO_NUMBER, counted, shown
 
-from .summary import (
-    BALANCE_HEAD,
-    BALANCE_TITLE,
-    OVERVIEW,
-    balance_rows,
-    comparison_rows,
-    overview,
-    sections,
-    short_names,
-)
+from .summary import OVERVIEW, balance_table, comparison_rows, overview, sections, short_names
+from .tables import TextTable
 
 
 def print_table(figures, console):
@@ -30,14 +22,14 @@ def print_table(figures, console):
         console.print(section(title, rows, 18))
     if "stored" in figures.get("balance", {}):
         console.print()
-        console.print(plain_table(BALANCE_TITLE, BALANCE_HEAD, balance_rows(figures["balance"])))
+        console.print(printed(balance_table(figures["balance"])))
 
 
 def print_overview(analyses, console):
     """Print a line for each recording, then their problems."""
     names = short_names(analyses)
     rows = [(name, *map(_marked, overview(figures))) for name, figures in zip(names, analyses)]
-    console.print(plain_table(None, ("file", *OVERVIEW), rows, 1))
+    console.print(printed(TextTable(None, ("file", *OVERVIEW), rows, 1)))
     for name, figures in zip(names, analyses):
         for problem in figures.get("problems") or [figures[key] for key in ("failed",) if key in figures]:
             text = problem if problem.startswith((figures["log"], name)) else f"{name}: {problem}"
@@ -57,22 +49,23 @@ def print_comparison(figures, console):
         )
     )
     rows = [(what, value, Text(remark, style="dim")) for what, value, remark in comparison_rows(figures)[1:]]
-    console.print(plain_table(None, None, rows))
+    console.print(printed(TextTable(None, ("", "", ""), rows)))
 
 
-def plain_table(title, heads, rows, folded=0):
-    """Table without lines; markup in its texts is not interpreted.
-
-    title, heads : or None
-    rows         : of texts, or Texts with a style
-    folded       : number of columns whose texts may take several lines
-    """
-    table = _table(title, heads is not None)
-    for k, head in enumerate(heads or ()):
-        table.add_column(Text(head), overflow="fold" if k < folded else "ellipsis", no_wrap=k >= folded)
-    for row in rows:
-        table.add_row(*(cell if isinstance(cell, Text) else Text(cell) for cell in row))
-    return table
+def printed(table):
+    """A Table for a console, without lines; markup in its texts is not interpreted."""
+    found = _table(table.title, any(table.heads))
+    for k, head in enumerate(table.heads):
+        folds = k < table.folded
+        found.add_column(
+            Text(head),
+            overflow="fold" if folds else "ellipsis",
+            no_wrap=not folds,
+            justify="right" if k in table.right else "left",
+        )
+    for row in table.rows:
+        found.add_row(*(cell if isinstance(cell, Text) else Text(cell) for cell in row))
+    return found
 
 
 def section(title, rows, width=None):

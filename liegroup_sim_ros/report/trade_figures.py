@@ -7,15 +7,11 @@ from liegroup_core.study.trade.trade import ACCURACIES, MARGIN
 from liegroup_sim_ros.numbers import GROUPS, counted, shown
 from liegroup_sim_ros.recording.attachments import versions
 
-from .terminal import plain_table
+from .tables import table_of
+from .terminal import printed
 
 WIDTH = 130  # characters; in a narrower terminal, lines wrap
-CHEAPEST_HEAD = ("accuracy", "configuration", "error", "CPU s per s", "real-time factor")
-FRONT_HEAD = ("error", "CPU s per s", "configuration", "rad/s", "m/s", "energy", "momentum", "joints")
 SHARE = 0.5  # of a core that a real-time integration may use
-ACCURACY_HEAD = ("accuracy", "error", "estimate", "met, by the estimate", "CPU s per s")
-ACCURACY_TITLE = "Simulations to an accuracy (cost includes the estimate)"
-FRONT_TITLE = "Pareto front; right columns: errors of angular velocity, velocity, energy, momentum, joints"
 
 
 def document_part(trade):
@@ -79,59 +75,44 @@ def reference_text(part):
     return f"the reference integration; reference uncertainty {shown(part['reference']['known'])}"
 
 
-def cheapest_rows(part):
-    """[(accuracy, configuration, error, CPU s per s, real-time factor)], all texts."""
-    rows = []
-    for entry in part["cheapest"]:
-        if entry["cell"] is None:
-            rows.append((f"{entry['accuracy']:g}", f"none: best {shown(part['best'])}", "-", "-", "-"))
-            continue
-        cell = part["cells"][entry["cell"]]
-        rows.append(
-            (
-                f"{entry['accuracy']:g}",
-                setting(cell),
-                error_text(cell["error"], part["reference"]["known"]),
-                shown(cell["cost_us"] * 1e-6),
-                shown(entry["real_time_factor"]),
-            )
-        )
-    return rows
+def tables(part):
+    """[Table] of a scene: cheapest configurations, simulations to an accuracy, Pareto front."""
+    known, cells = part["reference"], part["cells"]
 
+    def of_cell(text):
+        return lambda each: "-" if each["cell"] is None else text(each, cells[each["cell"]])
 
-def accuracy_rows(part):
-    """Rows of ACCURACY_HEAD for the simulations to an accuracy, all texts."""
+    cheapest = {
+        "accuracy": lambda each: f"{each['accuracy']:g}",
+        "configuration": lambda each: (
+            f"none: best {shown(part['best'])}" if each["cell"] is None else setting(cells[each["cell"]])
+        ),
+        "error": of_cell(lambda _, cell: error_text(cell["error"], known["known"])),
+        "CPU s per s": of_cell(lambda _, cell: shown(cell["cost_us"] * 1e-6)),
+        "real-time factor": of_cell(lambda each, _: shown(each["real_time_factor"])),
+    }
+    accuracies = {
+        "accuracy": lambda each: f"{each['accuracy']:g}",
+        "error": lambda each: error_text(each["error"], known["known"]),
+        "estimate": lambda each: "infinite" if each["estimate"] is None else shown(each["estimate"]),
+        "met, by the estimate": lambda each: "yes" if each["until"] is None else f"until {shown(each['until'], 's')}",
+        "CPU s per s": lambda each: shown(each["cost_us"] * 1e-6),
+    }
+    front = {
+        "error": lambda cell: error_text(cell["error"], known["known"]),
+        "CPU s per s": lambda cell: shown(cell["cost_us"] * 1e-6),
+        "configuration": setting,
+        "rad/s": lambda cell: error_text(cell["angular"], known["angular"]),
+        "m/s": lambda cell: error_text(cell["linear"], known["linear"]),
+        **{name: lambda cell, name=name: shown(cell[name]) for name in ("energy", "momentum", "joints")},
+    }
+    margin = f"Cheapest configuration for each accuracy, with a margin of {part['margin']:g}"
+    text = "Pareto front; right columns: errors of angular velocity, velocity, energy, momentum, joints"
     return [
-        (
-            f"{entry['accuracy']:g}",
-            error_text(entry["error"], part["reference"]["known"]),
-            "infinite" if entry["estimate"] is None else shown(entry["estimate"]),
-            "yes" if entry["until"] is None else f"until {shown(entry['until'], 's')}",
-            shown(entry["cost_us"] * 1e-6),
-        )
-        for entry in part["to_accuracy"]
+        table_of(cheapest, part["cheapest"], margin, 0),
+        table_of(accuracies, part["to_accuracy"], "Simulations to an accuracy (cost includes the estimate)", 0),
+        table_of(front, [cells[k] for k in part["front"]], text, 0),
     ]
-
-
-def front_rows(part):
-    """Rows of FRONT_HEAD for the Pareto front, all texts."""
-    reference = part["reference"]
-    rows = []
-    for k in part["front"]:
-        cell = part["cells"][k]
-        rows.append(
-            (
-                error_text(cell["error"], reference["known"]),
-                shown(cell["cost_us"] * 1e-6),
-                setting(cell),
-                error_text(cell["angular"], reference["angular"]),
-                error_text(cell["linear"], reference["linear"]),
-                shown(cell["energy"]),
-                shown(cell["momentum"]),
-                shown(cell["joints"]),
-            )
-        )
-    return rows
 
 
 def headline(part):
@@ -151,17 +132,7 @@ def print_trade(part, console):
     console.print(
         Text(f"errors against {reference_text(part)}; lengths relative to {shown(part['length'], 'm')}", style="dim")
     )
-    _print(
-        console,
-        f"Cheapest configuration for each accuracy, with a margin of {part['margin']:g}",
-        CHEAPEST_HEAD,
-        cheapest_rows(part),
-    )
-    _print(console, ACCURACY_TITLE, ACCURACY_HEAD, accuracy_rows(part))
-    _print(console, FRONT_TITLE, FRONT_HEAD, front_rows(part))
+    for each in tables(part):
+        console.print()
+        console.print(printed(each))
     console.print()
-
-
-def _print(console, title, heads, rows):
-    console.print()
-    console.print(plain_table(title, heads, rows))

@@ -9,19 +9,7 @@ from liegroup_core.settings import SETTINGS
 
 from .page import frame, plot_card, table, unbroken
 from .plots import BASE, COLOURS, label
-from .trade_figures import (
-    ACCURACY_HEAD,
-    ACCURACY_TITLE,
-    CHEAPEST_HEAD,
-    FRONT_HEAD,
-    FRONT_TITLE,
-    accuracy_rows,
-    cheapest_rows,
-    front_rows,
-    headline,
-    reference_text,
-    setting,
-)
+from .trade_figures import headline, reference_text, setting, tables
 
 DASHES = ("solid", "dash", "dot", "longdashdot")  # with 6 colours, enough combinations for all methods
 SYMBOLS = ("circle", "square", "triangle-up", "diamond", "triangle-down", "cross")
@@ -172,20 +160,10 @@ def make_page(parts):
                 "reference uncertainty",
             )
             + "</div>"
-            + "".join(f'<div class="cards">{table(*each)}</div>' for each in _tables(part))
+            + "".join(f'<div class="cards">{table(each)}</div>' for each in tables(part))
         )
     title = f"{', '.join((part['scene'] for part in parts))}: accuracy against cost"
     return frame(title, body, [{"plots": [make_plot(part)], "view": None} for part in parts])
-
-
-def _tables(part):
-    """[(title, heads, rows)] of a scene."""
-    cheapest = f"Cheapest configuration for each accuracy, with a margin of {part['margin']:g}"
-    return [
-        (cheapest, CHEAPEST_HEAD, cheapest_rows(part)),
-        (ACCURACY_TITLE, ACCURACY_HEAD, accuracy_rows(part)),
-        (FRONT_TITLE, FRONT_HEAD, front_rows(part)),
-    ]
 
 
 def _processor(part):

@@ -13,7 +13,7 @@ from liegroup_sim_ros.recording import read
 from liegroup_sim_ros.recording.read import read_recording
 from liegroup_sim_ros.recording.write_run import LogFile
 from liegroup_sim_ros.report.plots import JOINT_PLOTS, PARTS, make_plots
-from liegroup_sim_ros.report.summary import balance_rows
+from liegroup_sim_ros.report.summary import balance_table
 
 MASS, SPEED, G, END = 2.0, 1.0, 9.81, 3.0  # kg, m/s, m/s^2, s
 K, C = 8.0, 0.4  # N/m, N s/m
@@ -125,7 +125,7 @@ def test_work_is_that_of_the_closed_form(tmp_path, monkeypatch, case, piece):
     assert abs(balance["remainder_J"]) <= error and not any("add up" in text for text in figures["problems"])
     change = sum(entry["end_J"] - entry["start_J"] for entry in balance["stored"])
     assert change - sum(work.values()) == pytest.approx(balance["remainder_J"], abs=1e-12)
-    assert ("does not add up by", "", "", f"{balance['remainder_J']:.6g} J") in balance_rows(balance) or (
+    assert ("does not add up by", "", "", f"{balance['remainder_J']:.6g} J") in balance_table(balance).rows or (
         balance["remainder_J"] == 0.0
     )
 

@@ -13,6 +13,10 @@ from liegroup_sim_ros.commands.main import main
         ("analyze x.mcap --max-error -1", "--max-error: must be a number of 0 or more, got '-1'"),
         ("analyze x.mcap --max-drift x", "--max-drift: must be a number of 0 or more, got 'x'"),
         ("analyze x.mcap --reference-steps 0", "must be a whole number of 1 or more, got '0'"),
+        *(
+            (f"{line} --workers 0", "--workers: must be a whole number of 1 or more")
+            for line in ("trade heavy_top", "sweep heavy_top", "extremes", "compare a.yaml b")
+        ),
         ("replay x.mcap --resimulate --bound -1", "--bound: must be a number of 0 or more"),
         ("nonsense", "unknown command nonsense; known are: --help, --version, analyze"),
         ("viw x.yaml", "unknown command viw: did you mean view?"),

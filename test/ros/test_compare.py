@@ -423,7 +423,6 @@ def test_definitions_of_a_bag_are_not_executed(folder, tmp_path):
     ("arguments", "text"),
     [
         (["--segment", "0"], "--segment"),
-        (["--workers", "0"], "--workers"),
         (["--html", "/nowhere/page.html"], "existing folder"),
         (["--json", "a.mcap"], "choose another name"),
     ],

@@ -120,7 +120,6 @@ def test_close_values_are_distinguishable_and_not_truncated(tmp_path, capsys):
         (["--methods", "euler"], "unknown method 'euler'"),
         (["--axes", "heat"], "unknown axis 'heat'"),
         (["no_such_scene"], "no_such_scene"),
-        (["--workers", "0"], "--workers"),
         (["--horizon", "nan"], "--horizon"),
         (["--png", "map.gif"], ".png"),
         (["--horizon", "1e-4"], "at least 0.001"),

@@ -161,7 +161,6 @@ def test_every_method_has_a_distinct_line_style():
         (["--methods", "rk"], "unknown method 'rk'"),
         (["--groups", "so3"], "unknown group"),
         (["--stabilisation", "glue"], "unknown stabilisation"),
-        (["--workers", "0"], "--workers"),
         (["--horizon", "-1"], "horizon"),
         (["--horizon", "0.12345"], "three digits"),
         (["--steps", "0.3", "--horizon", "0.5"], "does not divide a horizon"),
