@@ -28,7 +28,7 @@ from liegroup_sim_ros.numbers import counted
 from liegroup_sim_ros.recording.attachments import steps_per_sample
 from liegroup_sim_ros.recording.errors import FileLostError
 from liegroup_sim_ros.recording.write_run import ArrayFile, LogFile
-from liegroup_sim_ros.recording.write_tables import TableFile, TorqueFile
+from liegroup_sim_ros.recording.write_tables import TableFile, torque_columns
 from liegroup_sim_ros.signals import Signals
 
 from .robot_options import add_robot_options, robot_scene
@@ -177,7 +177,8 @@ def _run(args):
         signals = stack.enter_context(Signals())
         files = []
         if args.torques:
-            files.append(stack.enter_context(TorqueFile(args.torques, simulation)))
+            columns = torque_columns(simulation, args.torques)
+            files.append(stack.enter_context(TableFile(args.torques, simulation, columns=columns)))
         if kind:
             file = kind(args.out, simulation, every, samples, args.reactions, args.columns)
             files.append(stack.enter_context(file))

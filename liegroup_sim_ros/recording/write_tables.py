@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tables *.csv of an offline run: states of bodies and joints, or efforts of driven joints.
+"""Tables *.csv of an offline run.
 
 A header row with units in brackets, then a row per sample; numbers are exact when read back. The
 classes have the interface of those in write_run.py. Existing files are never overwritten.
@@ -52,33 +52,16 @@ def usual_columns(simulation, reactions):
     return found
 
 
-class _Table:
-    """Table in a file, with a number of samples and the step of the last one."""
-
-    def __init__(self, path):
-        self.count, self.last_step = 0, -1
-        self._path = Path(path)
-        self._stream = new_file(path, "x", encoding="utf-8", newline="")
-        self._rows = csv.writer(self._stream)
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *exception):
-        close_new(self._stream, self._path, isinstance(exception[1], OutputError))
-
-    def _write(self, *values):
-        try:
-            self._rows.writerow(values)
-        except OSError as error:
-            raise OutputError(f"{self._path}: cannot be written: {error.strerror}") from None
-
-    def finish(self, simulation, stopped, failed, wall_seconds):
-        """Do nothing: all rows are written."""
+def torque_columns(simulation, path):
+    """Names of the columns of a table of driven joints; an effort is nan where constraints leave it undetermined."""
+    joints = [joint.name for joint in simulation.scene.joints if joint.driven]
+    if not joints:
+        raise OutputError(f"{path}: the scene has no driven joint: add driven: true to those whose efforts you need")
+    return [f"{joint}.{part}" for joint in joints for part in (*COORDINATE, "effort")]
 
 
-class TableFile(_Table):
-    """Table of columns of the Catalogue.
+class TableFile:
+    """Table of columns of the Catalogue in a file, with a number of samples and the step of the last one.
 
     By default time; position, quaternion and twist of each body; position and velocity of each joint with one degree
     of freedom; energy; largest constraint residual; estimated errors of each body, if the simulation has an estimate;
@@ -87,21 +70,38 @@ class TableFile(_Table):
     (N m s, N s), see Engine.drain_impacts.
     """
 
-    def __init__(self, path, simulation, _every, _samples, reactions=False, columns=None):
+    def __init__(self, path, simulation, _every=None, _samples=None, reactions=False, columns=None):
         wanted = ["time", *columns] if columns else usual_columns(simulation, reactions)
         self._columns = simulation.layout.catalogue.columns(wanted)
-        super().__init__(path)
         self._has_impacts, self._simulation = reactions and has_impacts(simulation.scene), simulation
         labels = self._columns.labels
+        self.count, self.last_step, self._path = 0, -1, Path(path)
+        self._stream = new_file(path, "x", encoding="utf-8", newline="")
+        self._rows = csv.writer(self._stream)
         if self._has_impacts:
             simulation.drain_impacts()  # the simulation collects impacts from here on
             labels += [f"{joint}.{name}" for joint in joint_names(simulation) for name in IMPULSE]
-        self._write(*labels)
+        self._write(labels)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *exception):
+        close_new(self._stream, self._path, isinstance(exception[1], OutputError))
+
+    def _write(self, values):
+        try:
+            self._rows.writerow(values)
+        except OSError as error:
+            raise OutputError(f"{self._path}: cannot be written: {error.strerror}") from None
 
     def sample(self, sample):
         """Write a row."""
-        self._write(*self._columns.of(sample).tolist(), *(self._impulses() if self._has_impacts else ()))
+        self._write([*self._columns.of(sample).tolist(), *(self._impulses() if self._has_impacts else ())])
         self.count, self.last_step = self.count + 1, sample.steps
+
+    def finish(self, simulation, stopped, failed, wall_seconds):
+        """Do nothing: all rows are written."""
 
     def _impulses(self):
         """Impulses of all joints since the last row, [N m s, N s]."""
@@ -109,30 +109,6 @@ class TableFile(_Table):
         for impact in self._simulation.drain_impacts():
             total += impact.array
         return total.ravel().tolist()
-
-
-class TorqueFile(_Table):
-    """Table of driven joints: time; position, velocity and required effort of each joint.
-
-    rad, rad/s and N m, or m, m/s and N; nan where redundant constraints leave an effort undetermined.
-    A screw has the angle, and the torque about its axis.
-    """
-
-    def __init__(self, path, simulation):
-        joints = [joint.name for joint in simulation.scene.joints if joint.driven]
-        if not joints:
-            raise OutputError(
-                f"{path}: the scene has no driven joint: add driven: true to those whose efforts you need"
-            )
-        super().__init__(path)
-        names = [f"{joint}.{part}" for joint in joints for part in (*COORDINATE, "effort")]
-        self._write(*simulation.layout.catalogue.columns(["time", *names]).labels)
-
-    def sample(self, sample):
-        """Write a row."""
-        efforts, motions = sample.drive_efforts, sample.prescribed
-        self._write(sample.time, *(number for joint in efforts for number in (*motions[joint][:2], efforts[joint])))
-        self.count, self.last_step = self.count + 1, sample.steps
 
 
 def joint_names(simulation):
