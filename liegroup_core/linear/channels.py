@@ -47,7 +47,7 @@ class InputChannels:
         if wanted is None:
             wanted = [*(name for name in targets if name.endswith(".target")), *efforts]
         known = {kind: self._kinds[kind] for kind in kinds}
-        self.names = expanded(wanted, known, {name: name for names in known.values() for name in names}, "input")
+        self.names = expanded(wanted, known, {name for names in known.values() for name in names}, "input")
 
     def __len__(self):
         return len(self.names)

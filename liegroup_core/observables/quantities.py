@@ -120,7 +120,7 @@ TABLE = {
         *(lambda s, _: s.constraint_residual, PLACES),
     ),
     "residuals": Row(
-        "joint", ("residual",), ("m or rad",), "norm", lambda s, _: list(s.joint_residuals.values()), PLACES
+        "joint", ("constraint_residual",), ("m or rad",), "norm", lambda s, _: list(s.joint_residuals.values()), PLACES
     ),
     "errors": Row("body", ERRORS, ("m", "rad", "m/s", "rad/s"), "estimated", _errors, NO_STATE),
     "reactions": Row("joint", WRENCH, ("N m", "N"), _IN_CHILD, lambda s, _: s.reaction_array),
@@ -214,42 +214,40 @@ class Catalogue:
             name: (group, place) for group, each in self.quantities.items() for place, name in enumerate(each.names)
         }
 
-    @cached_property
-    def _columns(self):
-        """{name of a column: itself}, also of its other names: of a part of a sensor, and former ones."""
-        found, endings = {}, {now: former for former, now in FORMER.items()}
-        for name in self.places:
-            owner, dot, part = name.rpartition(".")
-            found[f"{owner}{dot}{endings.get(part, part)}"] = name
-        for name, parts in self.owners["sensor"].items():
-            found |= {f"{name}.{part}": f"{name}.{k}" for k, (part, _) in enumerate(parts)}
-        return found | dict(zip(self.places, self.places))
-
     def names(self, wanted, what="column"):
         """Names of columns, each once, for a list of names, in which groups stand for all of theirs.
 
         Raises SceneError for an unknown name.
         """
-        return expanded(wanted, self.groups, self._columns, what)
+        return expanded(wanted, self.groups, self.places, what, self._layout.scene.sensors)
 
     def columns(self, wanted, what="column", turns=None, ideal=False):
         """Columns for a list of names. Raises SceneError for an unknown name."""
         return Columns(self, self.names(wanted, what), turns, ideal)
 
 
-def expanded(wanted, groups, columns, what):
+def expanded(wanted, groups, known, what, sensors=()):
     """Names of columns, each once, in which names of groups stand for all of theirs. Raises SceneError for others.
 
-    groups : {group: names};  columns : {name or other name: name}
+    groups : {group: names};  known : names of columns;  sensors : of the scene, for their other names
     """
     if isinstance(wanted, str):
         raise SceneError(f"{what}s must be a list of names, got the text {wanted!r}")
     found = {}
     for name in wanted:
-        if name not in groups and name not in columns:
-            raise SceneError(f"unknown {what} {name!r}; {suggestion(name, [*groups, *sorted(set(columns.values()))])}")
-        found |= dict.fromkeys(groups[name] if name in groups else (columns[name],))
+        own = name if name in known else present_name(name, sensors)
+        if name not in groups and own not in known:
+            raise SceneError(f"unknown {what} {name!r}; {suggestion(name, [*groups, *sorted(known)])}")
+        found |= dict.fromkeys(groups.get(name, (own,)))
     return list(found)
+
+
+def present_name(name, sensors):
+    """Name of a column for a former name, or for a number of a sensor by what it is, such as imu.wx; or the name."""
+    owner, dot, part = name.rpartition(".")
+    for parts in ([text.partition(" [")[0] for text in each.parts] for each in sensors if each.name == owner):
+        return f"{owner}.{parts.index(part)}" if part in parts else name
+    return f"{owner}{dot}{FORMER.get(part, part)}"
 
 
 class Columns:

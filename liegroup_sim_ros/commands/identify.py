@@ -14,7 +14,7 @@ from liegroup_core.identification import Move, identify, plan
 from liegroup_core.layout import make_layout
 from liegroup_core.scene.load import scene_as_written
 from liegroup_core.scene.parameters import path_of, range_of
-from liegroup_sim_ros.logs.load import channels_of
+from liegroup_sim_ros.logs.load import outputs_of
 from liegroup_sim_ros.logs.map import load_map
 from liegroup_sim_ros.numbers import shown
 from liegroup_sim_ros.recording.errors import OutputError
@@ -156,7 +156,7 @@ def _measured(path, scene):
     for entry in load_map(path).measurements:
         if entry.noise is None:
             raise LogError(f"{path}: {entry.output}: a plan needs its noise")
-        found |= dict.fromkeys(channels_of(entry.output, scene), entry.noise)
+        found |= dict.fromkeys(outputs_of(entry.output, scene), entry.noise)
     return found
 
 

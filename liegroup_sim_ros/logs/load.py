@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from liegroup_core.errors import SceneError
 from liegroup_core.identification.log import MOTION, SPLINE, Given, Log, Measured
 from liegroup_core.linear.channels import WRENCH
-from liegroup_core.observables.quantities import ACCELERATION, POSITION, ROTATION, TWIST
+from liegroup_core.observables.quantities import ACCELERATION, POSITION, ROTATION, TWIST, present_name
 from liegroup_sim_ros.numbers import counted
 
 from .bag import BagError, Field
@@ -67,6 +67,11 @@ def channels_of(name, scene):
     return [name]
 
 
+def outputs_of(name, scene):
+    """Names of the outputs that an entry of a map stands for, as of the Catalogue."""
+    return [present_name(each, scene.sensors) for each in channels_of(name, scene)]
+
+
 def load_log(bag, given, scene, turns):
     """Log of a Bag and a Map.
 
@@ -115,7 +120,7 @@ def load_log(bag, given, scene, turns):
             if entry.topic != topic:
                 continue
             values = found[topic].values[times[topic][1], of[id(entry)]]
-            own = channels_of(entry.output, scene)
+            own = outputs_of(entry.output, scene)
             columns.append(_values(entry, values, turns, {sensor.name: sensor for sensor in scene.sensors}))
             names += own
             noise += [np.nan if entry.noise is None else entry.noise] * len(own)

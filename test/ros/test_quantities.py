@@ -19,7 +19,7 @@ from liegroup_core.observables.quantities import GROUPS, NO_STATE
 from liegroup_core.scene.load import scene_from_text
 from liegroup_sim_ros.analysis.analyse import analyse
 from liegroup_sim_ros.commands.main import main
-from liegroup_sim_ros.logs.load import channels_of
+from liegroup_sim_ros.logs.load import outputs_of
 from liegroup_sim_ros.recording.read import read_recording
 from liegroup_sim_ros.report.plots import make_plots
 from liegroup_sim_ros.view.local import Local
@@ -152,7 +152,7 @@ def test_each_quantity_of_the_state_is_measured_in_a_log(made):
     turns = simulation.sample().pose[:, :9].reshape(-1, 3, 3)
     determined = np.isfinite(made.values).all(axis=0)
     names = [name for name, known in zip(made.columns.names, determined) if known and name in made.of_state]
-    assert [channel for name in names for channel in channels_of(name, made.scene)] == names
+    assert [channel for name in names for channel in outputs_of(name, made.scene)] == names
     columns = simulation.layout.catalogue.columns(names, turns=turns, ideal=True)
     times = np.arange(0.0, 0.4, 0.01)
     values = np.array([columns.of(sample) for sample in simulation.samples(times)])
@@ -210,6 +210,8 @@ def test_other_names_of_columns_are_read_and_unknown_ones_refused():
     ]
     now = ["hinge.tx", "rail.fz", "rail.effort", "constraint_residual", "imu.4", "encoder.0", "hinge.fx"]
     assert catalogue.names(former) == now and catalogue.names([*now, *former]) == now
+    assert [each for name in former for each in outputs_of(name, scene)] == now
+    assert outputs_of("wrist.wrench", scene) == [f"wrist.{part}" for part in ("tx", "ty", "tz", "fx", "fy", "fz")]
     with pytest.raises(SceneError, match="unknown column 'hinge.tq'; did you mean"):
         catalogue.names(["hinge.tq"])
     with pytest.raises(SceneError, match="columns must be a list of names"):
