@@ -12,6 +12,7 @@ from liegroup_core.linear.coordinates import Coordinates
 
 from .contradictions import Effect, Effects, Missing, channel_fits
 from .fit import Fit, Solution
+from .horizon import Horizon, horizons
 from .runs import Runs, Unknowns
 from .starts import first_states, has_others, starts_of, state_at
 
@@ -50,6 +51,7 @@ class Comparison:
     """Comparison of a log with a scene.
 
     fit, solution : Fit, Solution
+    horizons : [Horizon] of the outputs, how far ahead the model predicts them
     channels : [ChannelFit]
     effects  : [Effect] that explain residuals, one after the other
     alone    : [Effect], each alone, by share
@@ -64,6 +66,7 @@ class Comparison:
     alone: list[Effect]
     missing: list[Missing]
     numerics: list
+    horizons: list[Horizon]
 
     @property
     def worst(self):
@@ -72,8 +75,17 @@ class Comparison:
 
     @property
     def agrees(self):
-        """Whether residuals are as small as the noise, no effect explains them, and longer segments show no more."""
-        return self._is_noise and self.fit.further is None
+        """Whether residuals are as small as the noise, no effect explains them, and longer runs are off by no more."""
+        return self._is_noise and (self.horizon is None or self.horizon.differs_from == np.inf)
+
+    @property
+    def horizon(self):
+        """Horizon of the output that differs first, or is predicted for the shortest part of its time; None: none."""
+
+        def order(each):
+            return each.differs_from, each.within_noise / each.ahead[-1]
+
+        return min(self.horizons, key=order, default=None)
 
     @property
     def _is_noise(self):
@@ -134,17 +146,15 @@ class Comparison:
 
     @property
     def verdict(self):
-        """One line: what the largest contradiction is."""
-        worst, solution = self.worst, self.solution
+        """What the model predicts, and what the largest contradiction is."""
+        worst, solution, horizon = self.worst, self.solution, self.horizon
+        text = "" if horizon is None else f"The model {horizon.text}. "
         if self.agrees:
-            return "The measurements agree with the model: what is left is noise."
+            return f"{text}The measurements agree with it: what is left is noise."
         if self._is_noise:
-            further, runs = self.fit.further, self.fit.runs
-            spans = [max(s.times[-1] - s.start for s in runs.segments(each.point)) for each in (solution, further)]
-            worst = max(channel_fits(self.fit, further), key=lambda channel: channel.chi / channel.limit)
-            only = "The measurements agree with the model for {:.3g} s at a time, but not for {:.3g} s: ".format(*spans)
-            return f"{only}{worst.name} is {worst.chi:.3g} times its noise off then (rms {worst.rms:.3g})."
-        text = "" if solution.converged else "The fit of the starts did not converge. "
+            longest = max(segment.times[-1] - segment.start for segment in self.fit.runs.segments(solution.point))
+            return f"{text}Segments of {longest:.3g} s, each with its own start, agree with it, but longer runs do not."
+        text += "" if solution.converged else "The fit of the starts did not converge. "
         if worst.chi > worst.limit:
             text += f"{worst.name} is {worst.chi:.3g} times its noise off (rms {worst.rms:.3g})."
         else:
@@ -205,14 +215,12 @@ def _nested(fit, bounds, found=None):
 
     found : Solution to continue with; None: from the log and the scene
     """
-    best, growths, fit.further = None, [], None
+    best, growths = None, []
     for each in bounds:
         if len(growths) > 1 and _next_growth(*growths[-2:]) > MUCH_PARTED:
             break
         solution = _solved(fit, first_point(fit, each) if found is None else continued(fit, each, found))
         if best is not None and not _is_near(fit, solution):
-            if solution.converged and solution.growth <= PARTED:
-                fit.further = solution
             break
         best = found = _refined(fit, solution)
         growths.append(solution.growth)
@@ -302,7 +310,8 @@ def judged(fit, solution):
     judge = Effects(fit, solution)
     effects, alone = judge.find()
     errors = numerics(fit, solution.point, solution.outputs)
-    found = Comparison(fit, solution, channel_fits(fit, solution), effects, alone, [], errors)
+    ahead = horizons(fit, solution)
+    found = Comparison(fit, solution, channel_fits(fit, solution), effects, alone, [], errors, ahead)
     return found if found.agrees else replace(found, missing=judge.missing())
 
 

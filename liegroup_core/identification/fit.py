@@ -92,11 +92,7 @@ class Fit:
     limits   : (q, 2) least and largest numbers of the scene
     priors   : (q, 2) expected values and their standard deviations, inf: none
     workers  : threads; None: as many as cores
-
-    further  : Solution of longer segments, in which the model is far off although differences hardly grow; or None
     """
-
-    further = None
 
     def __init__(self, runs, deviation, free, limits=None, priors=None, workers=None):
         q = len(runs.numbers)

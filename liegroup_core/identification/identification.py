@@ -64,8 +64,7 @@ def identify(scene, log, names, limits=None, priors=None, length=LENGTH, held_ou
         noise = _noise(fit, solution, given)
         if max(np.abs(new / old - 1.0).max(initial=0.0) for new, old in zip(noise, fit.deviation)) < 0.02:
             break
-        further, fit = fit.further, Fit(fit.runs, noise, fit.free, fit.limits, fit.priors, workers)
-        fit.further = further
+        fit = Fit(fit.runs, noise, fit.free, fit.limits, fit.priors, workers)
         solution = fit.solve(solution.point, known=solution)
     d, numbers = int(fit.free.sum()), fit.runs.numbers
     q = len(numbers)

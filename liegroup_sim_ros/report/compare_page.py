@@ -32,6 +32,7 @@ def document(comparison, names):
         **names,
         "verdict": result.verdict,
         "agrees": result.agrees,
+        "horizons": [_horizon(each) for each in result.horizons],
         "converged": result.solution.converged,
         "reduced_chi_square": result.reduced,
         "channels": [{**vars(channel), "numerics": numeric} for channel, numeric in zip(result.channels, numerics)],
@@ -52,6 +53,20 @@ def document(comparison, names):
         "segments": len(result.solution.point.states),
         "starts": [_start(each) for each in result.starts],
         "notes": [*result.fit.runs.log.notes, *_guessed(result)],
+    }
+
+
+def _horizon(each):
+    differs = each.differs_from
+    return {
+        **{name: getattr(each, name) for name in ("name", "topic", "unit", "noise", "within_noise", "useful")},
+        "text": each.text,
+        "within_useful": each.within(each.useful),
+        "differs_from": None if differs == np.inf else differs,
+        **{
+            name: [value if np.isfinite(value) else None for value in getattr(each, name).tolist()]
+            for name in ("ahead", "error", "explained", "numerical", "starts")
+        },
     }
 
 
@@ -159,7 +174,8 @@ def _remarks(result):
 
 def make_page(comparison, result):
     """HTML of the page (about 5 MB, including plotly.js)."""
-    plots = [_missing_plot(each) for each in comparison.missing[:MOST_MISSING]] + _plots(comparison)
+    plots = _horizon_plots(comparison.horizon) if comparison.horizons else []
+    plots += [_missing_plot(each) for each in comparison.missing[:MOST_MISSING]] + _plots(comparison)
     state = "good" if result["agrees"] else "warn"
     sign = "✓ agrees" if result["agrees"] else "! contradiction"
     found = ""
@@ -186,6 +202,39 @@ def make_page(comparison, result):
     )
     data = [{"plots": [plot for *_, plot in plots], "view": None}]
     return frame(f"{result['scene']} against {result['log']}", body, data)
+
+
+def _horizon_plots(each):
+    """[(title, remark, plot)]: errors of predictions against the time ahead; the longest run, with its band."""
+    curves = (
+        ("measured minus predicted", each.error),
+        ("explained", each.expected),
+        ("noise", 0.0 * each.ahead + each.noise),
+    )
+    dashes, unit = ("solid", "dash", "dot"), each.unit or "SI units"
+    traces = [
+        line(name, each.ahead, np.where(np.isfinite(values), values, np.nan), colour, dash)
+        for (name, values), colour, dash in zip(curves, (COLOURS[0], COLOURS[4], COLOURS[2]), dashes)
+    ]
+    curve = plane(traces, [], unit, True, "time ahead / s")
+    curve["layout"]["xaxis"]["type"] = "log"
+    times, measured, predicted, deviation = each.run
+    band = BAND * np.sqrt(deviation**2 + each.noise**2)
+    ends = [predicted - band, predicted + band]
+    run = [line("measured", times, measured, COLOURS[0]), line("predicted", times, predicted, COLOURS[1], "dash")]
+    run += [
+        line(name, times, np.where(np.isfinite(end), end, np.nan), COLOURS[4], "dot")
+        for name, end in zip(("low", "high"), ends)
+    ]
+    return [
+        (f"How far ahead {each.name} is predicted", "rms of runs from starts all over the log", curve),
+        (
+            f"{each.name}: one run",
+            f"from the start at {times[0]:.4g} s to the end of the log, without its measurements; dotted: two standard "
+            "deviations of what noise, start and numbers explain",
+            plane(run, [], unit),
+        ),
+    ]
 
 
 def _missing_plot(each):

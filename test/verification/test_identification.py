@@ -53,7 +53,7 @@ def test_what_a_model_lacks_is_named_with_its_size(name, keys, effect, size):
 def test_a_right_model_leaves_noise(name):
     """Noise is estimated to a tenth; the delay within four standard deviations; errors of the integration are small."""
     found = compare(machine(name), log_of(machine(name), name, 2, **SHORT), workers=1)
-    assert found.agrees and found.verdict.startswith("The measurements agree")
+    assert found.agrees and "The measurements agree" in found.verdict
     for channel in found.channels:
         assert channel.deviation == pytest.approx(NOISE[channel.name.rpartition(".")[2]], rel=0.2)
         assert channel.p_white > 1e-4

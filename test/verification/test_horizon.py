@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How far ahead a model predicts: logs of pendulums that SciPy integrates, some with an effort that the model lacks.
+
+Short segments, each with a start of its own, agree with any of these models.
+"""
+
+import numpy as np
+import pytest
+import scipy
+
+from liegroup_core.identification import Log, Measured, compare, identify
+from liegroup_core.identification.horizon import Horizon, _rounded
+from liegroup_core.scene.load import scene_from_text
+
+MASS, LENGTH, RADIUS, VISCOUS, GRAVITY = 0.4, 0.6, 0.01, 0.02, 9.80665
+SECONDS, RATE, NOISE = 12.0, 100.0, 2e-3
+SCENE = f"""
+name: pendulum
+gravity: [0, 0, -{GRAVITY}]
+bodies:
+  - {{name: rod, position: [0, 0, {-LENGTH / 2}],
+     shape: {{type: rod, axis: [0, 0, 1], length: {LENGTH}, radius: {RADIUS}, mass: {MASS}}}}}
+joints:
+  - {{name: hinge, type: revolute, parent: world, child: rod, parent_frame: {{axis: [0, 1, 0]}},
+     friction: {{viscous: 0.01}}}}
+"""
+LACKING = {
+    "nothing": lambda q, v: 0.0,
+    "quadratic drag": lambda q, v: -0.01 * v * abs(v),
+    "cogging": lambda q, v: 0.03 * np.sin(8.0 * q),
+    "a spring that hardens": lambda q, v: -0.1 * q**3,
+}
+
+
+def log_of(effort, seed):
+    """Log of the position of a pendulum with noise, from rest at 1.1 rad."""
+    inertia = MASS * (LENGTH**2 / 3.0 + RADIUS**2 / 4.0)
+
+    def slope(_, y):
+        weight = MASS * GRAVITY * 0.5 * LENGTH * np.sin(y[0])
+        return [y[1], (-VISCOUS * y[1] + effort(*y) - weight) / inertia]
+
+    times = np.arange(SECONDS * RATE) / RATE
+    q = scipy.integrate.solve_ivp(slope, (0.0, SECONDS), [1.1, 0.0], t_eval=times, rtol=1e-11, atol=1e-12).y[0]
+    values = q + NOISE * np.random.default_rng(seed).normal(size=len(q))
+    return Log((), (Measured("/joint_states", times, ("hinge.position",), values[:, None], np.array([np.nan]), 0.0),))
+
+
+@pytest.mark.parametrize("lacking", LACKING)
+@pytest.mark.volume(2)
+def test_a_model_agrees_only_if_long_runs_do(lacking):
+    """A right one is as near as its noise to the end; of others predictions are off by more than is explained."""
+    found = identify(scene_from_text(SCENE), log_of(LACKING[lacking], 1), ["hinge.friction.viscous"], workers=1)
+    (horizon,), verdict = found.comparison.horizons, found.comparison.verdict
+    assert horizon.unit == "rad" and horizon.ahead[-1] == pytest.approx(SECONDS, rel=0.01)
+    if lacking == "nothing":
+        assert horizon.noise == pytest.approx(NOISE, rel=0.2)
+        low, high = found.intervals[0]
+        assert low < VISCOUS < high and horizon.differs_from == np.inf
+        assert verdict.startswith(f"The model predicts hinge.position within its noise for all of {SECONDS:g} s.")
+    else:
+        assert horizon.differs_from < SECONDS and horizon.within_noise < 0.2 * SECONDS
+        assert verdict.startswith("The model predicts hinge.position within its noise for ") and "off by" in verdict
+    assert found.comparison.agrees == (lacking == "nothing"), verdict
+
+
+def test_a_wrong_mass_of_a_driven_load_shows_in_long_runs():
+    """The period of a pendulum with a disc three times as heavy differs, although 0.1 s of it fit any mass."""
+    found = compare(
+        scene_from_text(SCENE.replace("length: 0.6", "length: 0.5")), log_of(LACKING["nothing"], 2), workers=1
+    )
+    assert not found.agrees and found.horizon.within_noise < 1.0
+    spread = found.fit.runs.log.measured[0].spread[0]
+    assert found.horizon.error.max() > 0.5 * spread
+
+
+def test_the_explained_part_is_that_of_the_noise_of_starts():
+    """Of 12 right models the mean square of error by what is explained is near 1: within four standard deviations.
+
+    At the longest time ahead one run is left: a chi-square of one degree of freedom, of variance 2.
+    """
+    scene, ratios = scene_from_text(SCENE.replace("viscous: 0.01", f"viscous: {VISCOUS}")), []
+    for seed in range(12):
+        found = compare(scene, log_of(LACKING["nothing"], 10 + seed), workers=1)
+        (horizon,) = found.horizons
+        ratios.append(float((horizon.error[-1] / horizon.expected[-1]) ** 2))
+    assert abs(np.mean(ratios) - 1.0) < 4.0 * np.sqrt(2.0 / len(ratios))
+
+
+def test_times_of_a_horizon():
+    ahead = np.array([0.1, 0.2, 0.4, 0.8])
+    error, none = np.array([0.011, 0.014, 0.03, 0.02]), np.zeros(4)
+    horizon = Horizon(
+        "a.position", "/a", "rad", 0.01, ahead, error, none, none, np.full(4, 3), np.full(4, 1000), 0.02, ()
+    )
+    assert (horizon.within_noise, horizon.within(0.02), horizon.within(0.001)) == (0.2, 0.2, 0.0)
+    assert horizon.within(0.05) == 0.8 and horizon.differs_from == 0.4
+    assert "within its noise for 0.2 s, within 0.02 rad for 0.2 s; it is off by up to 0.03 rad" in horizon.text
+    assert [_rounded(size) for size in (0.0317, 0.07, 1.3, 0.0)] == [0.05, 0.05, 1.0, 0.0]
