@@ -1,15 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Inputs of an Engine that act from one time to another: wrenches, efforts, servos, motions."""
 
+import math
 from fractions import Fraction
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from liegroup_core.fields.arguments import check_name, floats, got, is_finite
-from liegroup_core.forces.commands import AXES, CLEAR, EFFORT, MOTION, TARGET, WRENCH, Command, Commands
+from liegroup_core.forces.commands import AXES, CLEAR, EFFORT, MOTION, MOVE, TARGET, WRENCH, Command, Commands
 from liegroup_core.forces.external import no_wrenches, parts_of_wrench, set_wrench
-from liegroup_core.forces.instants import AFTER
+from liegroup_core.forces.instants import AFTER, NS
 from liegroup_core.forces.kinds import servos, target_values
 from liegroup_core.forces.schedule import BODY, DRIVE, IN_WORLD, LEVERS, SERVO, Schedule
 from liegroup_core.joints.limits import check_number, usable
@@ -192,7 +193,7 @@ class Inputs:
             usable("point times force must be finite numbers", np.outer(point, wrench[3:]), (3, 3))
         _check_source(source)
         point = None if point is None else tuple(point.tolist())
-        self._command(WRENCH, body, wrench.tolist(), start, duration, source, axes, point)
+        self._take(Command(WRENCH, body, tuple(wrench.tolist()), None, None, source, axes, point), start, duration)
 
     def apply_effort(
         self,
@@ -217,7 +218,7 @@ class Inputs:
         check_number("an effort must be a finite number", effort)
         _check_source(source)
         self._layout.limits[joint].check_effort(effort)
-        self._command(EFFORT, joint, (effort,), start, duration, source)
+        self._take(Command(EFFORT, joint, (float(effort),), None, None, source), start, duration)
 
     def command_servo(
         self,
@@ -247,14 +248,38 @@ class Inputs:
     def set_target(self, joint, position, velocity, start=None, duration=None):
         """As `command_servo`, for finite values that were checked before."""
         self._servo(joint)
-        self._command(TARGET, joint, (position, velocity), start, duration)
+        self._take(Command(TARGET, joint, (float(position), float(velocity))), start, duration)
 
-    def _command(self, kind, name, values, start, duration, source="", axes="body", point=None):
-        """Take a command with checked values, from a time in s on and for a duration in s; see `_interval`."""
-        begin, end = self._interval(name, start, duration)
-        values = tuple(map(float, values))
+    def give(self, command, duration=None):
+        """Take a Command whose numbers and limits were checked, for a duration in s; None: until it is replaced.
+
+        After its duration a move comes to rest in as many seconds as it took to begin.
+        Raises BeyondLimits, a ValueError, for a move beyond the limits of its joint.
+        """
+        start = None if command.start_ns is None else Fraction(command.start_ns, NS)
+        if command.kind != MOVE:
+            self._take(command, start, duration)
+            return
+        self.command_motion(command.name, *_points(command), start=start)
+        if duration is not None:
+            begin = self._present().time if start is None else start
+            self.command_motion(command.name, command.values[2:], None, [0.0], start=begin + duration)
+
+    def check(self, command):
+        """Raise BeyondLimits for a Command that cannot be followed from the present state."""
+        if command.kind == EFFORT:
+            self._layout.limits[command.name].check_effort(*command.values)
+        elif command.kind == TARGET:
+            self.check_jump(command.name, command.values[0])
+        elif command.kind == MOVE:
+            start = None if command.start_ns is None else Fraction(command.start_ns, NS)
+            self.check_motion(command.name, *_points(command), start=start)
+
+    def _take(self, command, start, duration):
+        """Take a Command from a time in s on and for a duration in s; see `_interval`."""
+        begin, end = self._interval(command.name, start, duration)
         if begin < end:
-            self._insert(Command(kind, name, values, 0, None, source, axes, point), begin, end)
+            self._insert(command, begin, end)
 
     def _servo(self, joint):
         """Number of the servo of a joint. Raises ValueError for a joint without one."""
@@ -284,7 +309,7 @@ class Inputs:
         """
         planned = self._planned(joint, times, positions, velocities, accelerations, start)
         for instant, row in planned:
-            self._insert(Command(MOTION, joint, tuple(row.tolist()), 0), instant, AFTER)
+            self._insert(Command(MOTION, joint, tuple(row.tolist())), instant, AFTER)
 
     def check_motion(self, joint, times, positions, velocities=None, accelerations=None, start=None):
         """Raise the errors of `command_motion` without commanding anything."""
@@ -387,7 +412,7 @@ class Inputs:
     def clear_wrenches(self, source: str = "api") -> None:
         """End all wrenches and efforts of a source, also those that start later."""
         if source in self.schedule.sources:
-            self._insert(Command(CLEAR, "", (), 0, None, source), self._present(), AFTER)
+            self._insert(Command(CLEAR, "", (), None, None, source), self._present(), AFTER)
 
     def drain_applied(self) -> list[Command]:
         """Return the inputs since the last call: commands, and new targets and motions where they start.
@@ -420,6 +445,12 @@ class Inputs:
                 kind, names = (TARGET, self._servos) if axes == SERVO else (MOTION, self._drives)
                 values = tuple(total.tolist())
                 self.log.append(Command(kind, names[number], values, self._grid.mark(instant)))
+
+
+def _points(move):
+    """Arguments of `command_motion` for the joint of a move."""
+    position, velocity, seconds = move.values
+    return [seconds], None if math.isnan(position) else [position], [velocity]
 
 
 def _exact_or_float(seconds):

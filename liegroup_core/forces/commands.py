@@ -13,20 +13,21 @@ from liegroup_core.joints.motion import COLUMNS
 from .instants import NS
 
 WRENCH, EFFORT, TARGET, MOTION, CLEAR = "wrench", "effort", "target", "motion", "clear"
-# {kind: number of its values}
+# {kind: number of its values} in what a run logs, records and keeps
 KINDS = {WRENCH: 6, EFFORT: 1, TARGET: 2, MOTION: COLUMNS, CLEAR: 0}
+MOVE = "move"  # becomes motions when it starts, from where the joint is then
 AXES = ("body", "world")
 
 
 class Command(NamedTuple):
     """Input of a run.
 
-    kind   : "wrench" on a body; "effort" at a joint; "target" of a servo; "motion" of a driven joint; "clear", the
-             end of all wrenches and efforts of a source
+    kind   : "wrench" on a body; "effort" at a joint; "target" of a servo; "motion" and "move" of a driven joint;
+             "clear", the end of all wrenches and efforts of a source
     name   : of the body or joint
     values : torque N m, force N (6,); effort N m or N (1,); position and velocity, rad or m (2,); motion (7,), see
-             joints/motion.py
-    start_ns, end_ns : simulated time in ns, whole numbers where the time is one; None: until it is replaced
+             joints/motion.py; of a move, the position (NaN: any) and velocity that it reaches, and in how many s (3,)
+    start_ns, end_ns : simulated time in ns, whole numbers where the time is one; None: now, and until it is replaced
     source : a command replaces that of the same kind, source and name
     axes   : "body" or "world", of a wrench
     point  : (3,) m, in the body frame, at which the force of a wrench acts; None: the origin
@@ -36,7 +37,7 @@ class Command(NamedTuple):
     kind: str
     name: str
     values: tuple[float, ...]
-    start_ns: int | float
+    start_ns: int | float | None = None
     end_ns: int | float | None = None
     source: str = ""
     axes: str = "body"
@@ -47,6 +48,15 @@ class Command(NamedTuple):
     def start(self) -> float:
         """Simulated time at which it starts, s."""
         return self.start_ns / NS
+
+    @property
+    def key(self) -> tuple:
+        """A later command with the same key replaces this one before it starts."""
+        return self.kind, self.source, self.name, self.start_ns
+
+    def since(self, base_ns: int) -> "Command":
+        """Command of a run that began at a stamp; `start_ns` of this one is a stamp."""
+        return self if self.start_ns is None else self._replace(start_ns=self.start_ns - base_ns)
 
     def repeat(self, simulation: Any) -> None:
         """Give it to another simulation of the same scene, from its time on, without checks of limits.

@@ -10,12 +10,12 @@ from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import parameter_value_to_python
 
 from liegroup_core.fields.values import LARGEST_NUMBER, suggestion
+from liegroup_core.forces.commands import WRENCH, Command
 from liegroup_core.joints.coupling import COUPLED
 from liegroup_core.lie.groups import SO3
 from liegroup_sim_ros.messages.commands import joint_labels
 from liegroup_sim_ros.messages.links import merged_links
 from liegroup_sim_ros.serving.counted_input import MOST, bounded
-from liegroup_sim_ros.serving.wrench_input import Push
 
 from .standard_codes import FAILED, Refused
 
@@ -91,8 +91,8 @@ def apply_wrench(node, values):
     if server.inputs_held >= MOST:
         raise Wrong(f"{MOST} wrenches already act or are scheduled")
     wrench = (*torque.tolist(), *force.tolist())
-    push = Push(f"{SOURCE}/{body}/{name}", body, wrench, axes, 0, tuple(point.tolist()))
-    server.push([push], float(duration))
+    command = Command(WRENCH, body, wrench, None, None, f"{SOURCE}/{body}/{name}", axes, tuple(point.tolist()))
+    server.push([command], float(duration))
     return f"wrench on {body} for {duration:g} s, from the next step after {server.stamp_ns * 1e-9:.9g} s"
 
 

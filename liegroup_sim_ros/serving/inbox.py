@@ -7,7 +7,8 @@ The simulation thread takes them before its next block of steps.
 import logging
 import threading
 
-from .joint_command_input import JointMotion, Target
+from liegroup_core.forces.commands import MOVE, NS, TARGET
+
 from .trajectory import Follower
 
 log = logging.getLogger("liegroup_core")
@@ -29,28 +30,27 @@ class Inbox:
         self._simulation, self._wake = simulation, wake
         self._follower = Follower(simulation, follow_period, motion_time)
         self._lock = threading.Lock()
-        self._pushes = {}  # key -> (Push or command, duration, function that refuses it)
+        self._commands = {}  # key -> (Command, duration, function that refuses it)
         self._trajectory = None
         self.replaced = 0
 
     # From other threads:
 
-    def push(self, pushes, duration, refuse=log.warning):
-        """Apply wrenches or commands; each replaces the previous one of its source.
+    def push(self, commands, duration, refuse=log.warning):
+        """Give Commands, which all start at the same stamp; each replaces the previous one of its source.
 
-        pushes   : [Push, JointEffort, Target or JointMotion], which all start with the same step
         duration : s of simulated time, None: until the next one of this source
         refuse   : function, called with one line of text if an input cannot be applied when it starts
         """
         # While the simulation is paused, a later command with the same start replaces the earlier
         # one, so that the queue is bounded.
         with self._lock:
-            waiting = [push.start_ns or 0 for push, *_ in self._pushes.values()]
-            starts = [push.start_ns or 0 for push in pushes]
-            for push in pushes:
-                if self._pushes.pop(push.key, None) is not None:
+            waiting = [command.start_ns or 0 for command, *_ in self._commands.values()]
+            starts = [command.start_ns or 0 for command in commands]
+            for command in commands:
+                if self._commands.pop(command.key, None) is not None:
                     self.replaced += 1
-                self._pushes[push.key] = push, duration, refuse
+                self._commands[command.key] = command, duration, refuse
         # Only if none that waits starts as early: a burst does not wake the thread for every message.
         if starts and (not waiting or min(starts) < min(waiting)):
             self._wake()
@@ -68,20 +68,20 @@ class Inbox:
     def clear(self, prefix):
         """Discard waiting wrenches of all sources whose names start with `prefix`."""
         with self._lock:
-            for key in [key for key in self._pushes if key[1].startswith(prefix)]:
-                del self._pushes[key]
+            kept = [entry for entry in self._commands.items() if not entry[1][0].source.startswith(prefix)]
+            self._commands = dict(kept)
 
     def __len__(self):
-        return len(self._pushes)
+        return len(self._commands)
 
     # In the simulation thread:
 
     def acts_before(self, stamp_ns):
         """Whether a waiting input starts before a stamp."""
-        if not self._pushes and self._trajectory is None:
+        if not self._commands and self._trajectory is None:
             return False
         with self._lock:
-            starts = [push.start_ns for push, *_ in self._pushes.values()]
+            starts = [command.start_ns for command, *_ in self._commands.values()]
             if self._trajectory is not None:
                 starts.append(self._trajectory[0].stamp_ns)
         return any(not start or start < stamp_ns for start in starts)
@@ -92,8 +92,8 @@ class Inbox:
         base_ns : stamp of step 0
         until   : s, time up to which targets are passed
         """
-        if self._pushes:
-            self._apply(base_ns)
+        if self._commands:
+            self._give(base_ns)
         if self._trajectory is not None:
             with self._lock:
                 (trajectory, self._follower.refuse), self._trajectory = self._trajectory, None
@@ -102,24 +102,25 @@ class Inbox:
         if not self._follower.is_idle:
             self._follower.command(until)
 
-    def _apply(self, base_ns):
+    def _give(self, base_ns):
         with self._lock:
-            pushes, self._pushes = self._pushes, {}
-        for push, duration, refuse in pushes.values():
-            start = (push.start_ns - base_ns) * 1e-9 if push.start_ns else None
+            commands, self._commands = self._commands, {}
+        for command, duration, refuse in commands.values():
+            command = command.since(base_ns)
             try:
-                push.apply(self._simulation, start, duration)
+                self._simulation.inputs.give(command, duration)
             except ValueError as error:  # the state has changed since it arrived
                 refuse(str(error))
                 continue
-            if isinstance(push, (Target, JointMotion)):
-                self._follower.release(push.joint, start or self._simulation.time)
+            if command.kind in (TARGET, MOVE):
+                start_ns = command.start_ns
+                self._follower.release(command.name, self._simulation.time if start_ns is None else start_ns / NS)
 
     def discard(self):
         """Discard all inputs, because a state was set."""
         with self._lock:
-            self.replaced += len(self._pushes) + (self._trajectory is not None)
-            self._pushes.clear()
+            self.replaced += len(self._commands) + (self._trajectory is not None)
+            self._commands.clear()
             self._trajectory = None
         self._follower.clear()
 

@@ -10,9 +10,9 @@ command's duration is refused. A message is accepted or refused as a whole; refu
 """
 
 import math
-from typing import NamedTuple
 
 from liegroup_core.fields.values import LARGEST_NUMBER
+from liegroup_core.forces.commands import EFFORT, MOVE, TARGET, Command
 from liegroup_sim_ros.messages.commands import JointStateDecoder, decode_array
 from liegroup_sim_ros.numbers import counted
 
@@ -32,83 +32,6 @@ REASONS = (
     "too_many",
     "damaged",
 )
-
-
-class JointEffort(NamedTuple):
-    """An accepted effort of one joint."""
-
-    source: str
-    joint: str  # as in the scene
-    effort: float  # N m or N
-    start_ns: int  # stamp at which it starts to act; 0: at the next step
-
-    @property
-    def key(self):
-        """Start, source and joint; a later command replaces one with the same key."""
-        return self.start_ns, self.source, self.joint
-
-    def check(self, present):
-        """Do nothing: limits of efforts do not depend on the present state."""
-
-    def apply(self, simulation, start, duration):
-        """Apply it to a Simulation from a time in s on (None: the next step), for a duration in s."""
-        simulation.apply_effort(self.joint, self.effort, start, duration, self.source)
-
-
-class Target(NamedTuple):
-    """Accepted targets of the servo of a joint."""
-
-    joint: str  # as in the scene
-    position: float  # rad or m
-    velocity: float  # rad/s or m/s
-    start_ns: int  # stamp at which it starts to act; 0: at the next step
-
-    @property
-    def key(self):
-        """Start, kind and joint; a later command replaces one with the same key."""
-        return self.start_ns, "target", self.joint
-
-    def check(self, present):
-        """Raise BeyondLimits for a jump; present: SimulationServer."""
-        present.check_jump(self.joint, self.position)
-
-    def apply(self, simulation, start, duration):
-        """Command it to a Simulation from a time in s on (None: the next step), for a duration in s."""
-        simulation.inputs.set_target(self.joint, self.position, self.velocity, start, duration)
-
-
-class JointMotion(NamedTuple):
-    """Accepted position and velocity that a driven joint reaches after `seconds`."""
-
-    joint: str  # as in the scene
-    position: float  # rad or m; NaN: any, only the velocity is commanded
-    velocity: float  # rad/s or m/s
-    seconds: float  # duration of the motion
-    start_ns: int  # stamp at which it starts; 0: at the next step
-
-    @property
-    def key(self):
-        """Start, kind and joint; a later command replaces one with the same key."""
-        return self.start_ns, "target", self.joint
-
-    @property
-    def _points(self):
-        positions = None if math.isnan(self.position) else [self.position]
-        return [self.seconds], positions, [self.velocity]
-
-    def check(self, present):
-        """Raise BeyondLimits for a motion beyond the limits; present: SimulationServer."""
-        present.check_motion(self.joint, self.start_ns, *self._points)
-
-    def apply(self, simulation, start, duration):
-        """Command it to a Simulation from a time in s on (None: the next step).
-
-        duration : s, after which the joint comes to rest; None: it continues at the velocity
-        """
-        simulation.command_motion(self.joint, *self._points, start=start)
-        if duration is not None:
-            end = (simulation.time if start is None else start) + duration
-            simulation.command_motion(self.joint, [self.seconds], None, [0.0], start=end)
 
 
 class JointCommandInput(JointInput):
@@ -140,7 +63,7 @@ class JointCommandInput(JointInput):
         return self._commands(names, fields, 0, 0, held, None, jumps)
 
     def read(self, payload, now_ns, held, lasting, stamped=True, jumps=None):
-        """[JointEffort, Target or JointMotion] of a serialized JointState. Raises Refusal.
+        """[Command] of a serialized JointState. Raises Refusal.
 
         now_ns  : current stamp
         held    : number of commands that act now or start later
@@ -198,15 +121,15 @@ class JointCommandInput(JointInput):
             )
         self.refuse_far_stamp(stamp_ns, now_ns, f"{target:.{LONGEST_NAME}}")
         self.refuse_too_many(held, f"{target:.{LONGEST_NAME}}")
-        start_ns = stamp_ns if stamp_ns > now_ns else 0
+        start_ns = stamp_ns if stamp_ns > now_ns else None
         found = [
-            JointEffort(SOURCE, self.joints[name], value, start_ns)
+            Command(EFFORT, self.joints[name], (value,), start_ns, None, SOURCE)
             for name, value in zip(names, effort)
             if not math.isnan(value)
         ] + [self._target(name, position, _or_zero(velocity), start_ns) for name, position, velocity in wanted]
         if self._present is not None:
             for command in found:
-                self.refuse_beyond_limits(command.check, self._present)
+                self.refuse_beyond_limits(self._present.check, command)
         self.accepted += 1
         self._checked = names
         return found
@@ -214,8 +137,8 @@ class JointCommandInput(JointInput):
     def _target(self, name, position, velocity, start_ns):
         joint = self.joints[name]
         if name in self.driven:
-            return JointMotion(joint, position, velocity, self._seconds, start_ns)
-        return Target(joint, _or_zero(position), velocity, start_ns)
+            return Command(MOVE, joint, (position, velocity, self._seconds), start_ns)
+        return Command(TARGET, joint, (_or_zero(position), velocity), start_ns)
 
     def _check_effort(self, name, effort):
         self.refuse_beyond_limits(self.limits[self.joints[name]].check_effort, effort)

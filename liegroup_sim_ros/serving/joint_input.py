@@ -32,7 +32,7 @@ class JointInput(CountedInput):
     """Counter of messages with names of joints of a scene.
 
     layout  : Layout
-    present : SimulationServer, or an object with its `check_motion` and `check_jump`; None: limits
+    present : SimulationServer, or an object with its `check`, `check_motion` and `check_jump`; None: limits
               are not checked for motions of driven joints and jumps of servos
     Other arguments are those of CountedInput.
 

@@ -129,6 +129,10 @@ class SimulationServer(SimulationCommands, threading.Thread):
         """Method of the Inbox."""
         return self._inbox.follow
 
+    def check(self, command):
+        """Raise BeyondLimits for a Command that cannot be followed from the present state."""
+        self._simulation.inputs.check(command.since(self._base_ns))
+
     def check_motion(self, joint, start_ns, *points):
         """Raise BeyondLimits for points to which a driven joint cannot move; see command_motion.
 

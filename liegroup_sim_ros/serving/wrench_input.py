@@ -12,36 +12,15 @@ A wrench starts at its stamp if that is in the future, else with the next step. 
 accepted or refused as a whole; refusals are counted by reason.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 
 from liegroup_core.fields.values import suggestion
+from liegroup_core.forces.commands import WRENCH, Command
 from liegroup_sim_ros.messages.codecs import WrenchStampedCodec
 
 from .counted_input import LONGEST_NAME, CountedInput, bounded
 
 REASONS = ("not_finite", "no_frame", "unknown_frame", "stamp_too_far", "too_many", "damaged")
-
-
-class Push(NamedTuple):
-    """An accepted wrench."""
-
-    source: str  # topic, body and name of the publisher, see source_prefix
-    body: str
-    wrench: tuple  # (6,) torque N m, force N
-    axes: str  # of the components: "body" or "world"
-    start_ns: int  # stamp at which it starts to act; 0: at the next step
-    point: tuple | None = None  # (3,) m, where the force acts, in the body frame; None: its origin
-
-    @property
-    def key(self):
-        """Start, source, and "" (no joint); a later wrench replaces one with the same key."""
-        return self.start_ns, self.source, ""
-
-    def apply(self, simulation, start, duration):
-        """Apply it to a Simulation from a time in s on (None: the next step), for a duration in s."""
-        simulation.apply_wrench(self.body, self.wrench, start, duration, self.source, self.axes, self.point)
 
 
 def source_prefix(kind, target):
@@ -68,7 +47,7 @@ class WrenchInput(CountedInput):
         self._world_frame, self._prefix = world_frame, frame_prefix
 
     def read(self, payload, kind, body, now_ns, held):
-        """Push of a serialized WrenchStamped. Raises Refusal.
+        """Command of a serialized WrenchStamped. Raises Refusal.
 
         kind   : of the topic: "wrench", "persistent" or "body"
         body   : body of the topic, None if frame_id gives it
@@ -100,13 +79,8 @@ class WrenchInput(CountedInput):
         if axes == "body":
             wrench = self._at_body(frame_id, wrench)
         self.accepted += 1
-        return Push(
-            source_prefix(kind, f"{target}/{name}" if name else target),
-            target,
-            wrench,
-            axes,
-            start_ns if start_ns > now_ns else 0,
-        )
+        source = source_prefix(kind, f"{target}/{name}" if name else target)
+        return Command(WRENCH, target, wrench, start_ns if start_ns > now_ns else None, None, source, axes)
 
     def refuse_clear(self, text):
         """Count a ~/wrench/clear with an unknown body. Raises Refusal."""

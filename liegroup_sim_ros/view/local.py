@@ -10,13 +10,12 @@ from concurrent.futures import TimeoutError as Late
 from types import SimpleNamespace
 
 from liegroup_core import Simulation
+from liegroup_core.forces.commands import EFFORT, MOVE, TARGET, WRENCH, Command
 from liegroup_sim_ros.recording import attachments
 from liegroup_sim_ros.recording.checkpoints import Checkpoints
 from liegroup_sim_ros.recording.write import Recorder
-from liegroup_sim_ros.serving.joint_command_input import JointEffort, JointMotion, Target
 from liegroup_sim_ros.serving.outputs import Outputs, Streams
 from liegroup_sim_ros.serving.simulation_thread import SimulationServer
-from liegroup_sim_ros.serving.wrench_input import Push
 
 from .server import ViewError
 from .source import Source, Status, ViewFrame, settings_text
@@ -171,13 +170,14 @@ class Local(Source):
             raise ViewError(f"{command}: no answer within {ANSWER:g} s; a step takes long") from None
 
     def _command(self, kind, joint, value):
+        value = float(value)
         command = {
-            "effort": lambda: JointEffort(f"{SOURCE}/{joint}", joint, value, 0),
-            "servo": lambda: Target(joint, value, 0.0, 0),
-            "driven": lambda: JointMotion(joint, value, 0.0, MOVING, 0),
-        }[kind]()
+            "effort": Command(EFFORT, joint, (value,), source=f"{SOURCE}/{joint}"),
+            "servo": Command(TARGET, joint, (value, 0.0)),
+            "driven": Command(MOVE, joint, (value, 0.0, MOVING)),
+        }[kind]
         try:
-            command.check(self.server)
+            self.server.check(command)
         except ValueError as error:
             raise ViewError(str(error)) from None
         self.server.push([command], None, self._refused)
@@ -188,8 +188,9 @@ class Local(Source):
 
     def push(self, body, wrench, seconds, point):
         """Apply a wrench (torque, force) in world axes at a point of a body for a simulated time."""
-        push = Push(f"{SOURCE}/{body}", body, tuple(map(float, wrench)), "world", 0, tuple(map(float, point)))
-        self.server.push([push], seconds, self._refused)
+        source, point = f"{SOURCE}/{body}", tuple(map(float, point))
+        command = Command(WRENCH, body, tuple(map(float, wrench)), None, None, source, "world", point)
+        self.server.push([command], seconds, self._refused)
 
     def release(self, body):
         """End the wrench of `push`."""

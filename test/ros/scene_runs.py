@@ -6,9 +6,9 @@ from types import SimpleNamespace
 from waiting import PATIENCE, wait_for
 
 from liegroup_core import Simulation, load_scene
+from liegroup_core.forces.commands import WRENCH, Command
 from liegroup_sim_ros.node.parameters import RATES, TABLE, fitting_step
 from liegroup_sim_ros.node.scene_run import SceneRun
-from liegroup_sim_ros.serving.wrench_input import Push
 
 
 def node_values(**parameters):
@@ -48,8 +48,8 @@ class Run:
 
     def push(self, body, wrench, duration=0.05, source="test", axes="body", ahead=0.0, point=None):
         """Apply a wrench, from now on or `ahead` of the present stamp by a time in s."""
-        start = self.server.stamp_ns + round(ahead * 1e9) if ahead else 0
-        self.server.push([Push(source, body, wrench, axes, start, point)], duration)
+        start = self.server.stamp_ns + round(ahead * 1e9) if ahead else None
+        self.server.push([Command(WRENCH, body, tuple(map(float, wrench)), start, None, source, axes, point)], duration)
 
     def until(self, condition, what="what was waited for"):
         """Wait until condition() is true."""

@@ -18,6 +18,7 @@ from scene_runs import Run
 
 from liegroup_core import Simulation, load_scene
 from liegroup_core.accuracy import METHOD
+from liegroup_core.forces.commands import EFFORT, TARGET, Command
 from liegroup_core.running_error import PART
 from liegroup_sim_ros.analysis.analyse import analyse
 from liegroup_sim_ros.commands.main import main
@@ -29,7 +30,6 @@ from liegroup_sim_ros.recording.attachments import commands_in
 from liegroup_sim_ros.recording.read import read_recording
 from liegroup_sim_ros.report.plots import make_plots
 from liegroup_sim_ros.serving import real_time
-from liegroup_sim_ros.serving.joint_command_input import JointEffort, Target
 from liegroup_sim_ros.serving.trajectory import Waypoints
 
 SOURCE = Path(__file__).resolve().parents[2]
@@ -198,15 +198,15 @@ def test_parts_with_joint_commands_repeat_alone(ros_node, tmp_path, monkeypatch)
     given = {"record": tmp_path / "run.mcap", "record_split_duration": 0.23, "clock_rate": 50.0}
     points = [Point((0.3, 0.1), (0.5, 0.0), (), (), 400_000_000), Point((-0.2, 0.0), (0.0, 0.0), (), (), 900_000_000)]
     with Run(ros_node, tmp_path / "arm.yaml", real_time_factor=5.0, **given) as run:
-        run.server.push([Target("hinge", -0.4, 0.0, 0), JointEffort("test", "slide", 3.0, 0)], None)
+        run.server.push([Command(TARGET, "hinge", (-0.4, 0.0)), Command(EFFORT, "slide", (3.0,), source="test")], None)
         run.pass_time(0.6)
         start = run.server.stamp_ns + 123_456_789
         run.server.follow(Waypoints(["hinge", "slide"], points, start))
         run.until(lambda: run.server.stamp_ns >= start + points[0].time_ns)
-        run.server.push([Target("slide", 0.05, 0.0, 0)], 0.3)
+        run.server.push([Command(TARGET, "slide", (0.05, 0.0))], 0.3)
         run.call("reset")
         run.pass_time(0.3)
-        run.server.push([JointEffort("test", "hinge", 1.0, 0)], 0.1)
+        run.server.push([Command(EFFORT, "hinge", (1.0,), source="test")], 0.1)
         run.pass_time(0.3)
     recordings = [repeats(path) for path in tmp_path.glob("*.mcap")]
     assert len(recordings) > 5

@@ -11,12 +11,13 @@ from robot_texts import ARM_URDF
 from sensor_msgs.msg import JointState
 
 from liegroup_core import load_scene
+from liegroup_core.forces.commands import MOVE, TARGET, Command
 from liegroup_core.layout import make_layout
 from liegroup_core.scene.load import scene_from_text
 from liegroup_sim_ros.messages.codecs import MessageError
 from liegroup_sim_ros.messages.commands import JointStateDecoder
 from liegroup_sim_ros.serving.counted_input import FARTHEST, MOST, Refusal
-from liegroup_sim_ros.serving.joint_command_input import JointCommandInput, Target
+from liegroup_sim_ros.serving.joint_command_input import JointCommandInput
 from liegroup_sim_ros.serving.joint_input import Jumps
 
 NOW, NAN = 5 * 10**9, math.nan
@@ -61,7 +62,7 @@ def message(names=(), position=(), velocity=(), effort=(), stamp_ns=0):
 def test_a_message_commands_some_of_the_joints(layout, fields, efforts):
     reader = JointCommandInput(layout, 0.02)
     found = reader.read(message(**fields), NOW, 0, None)
-    assert {command.joint: command.effort for command in found} == efforts
+    assert {command.name: command.values[0] for command in found} == efforts
     assert reader.accepted == 1 and not any(reader.refused.values())
 
 
@@ -72,14 +73,16 @@ def test_positions_and_velocities_are_targets_of_servos(layout):
         ({"names": ["rail", "pin"], "position": [NAN, 2.0], "effort": [1.0, NAN]}, ("pin", 2.0, 0.0)),
     ):
         *efforts, found = reader.read(message(**fields, stamp_ns=NOW + 5), NOW, 0, None)
-        assert found == (*target, NOW + 5) and isinstance(found, Target)
-        assert [effort.joint for effort in efforts] == ["rail"] * len(efforts)
+        assert found == Command(TARGET, target[0], target[1:], NOW + 5)
+        assert [effort.name for effort in efforts] == ["rail"] * len(efforts)
     free = scene_from_text(SCENE.replace("stiffness: 9", "stiffness: 0"))
     (found,) = JointCommandInput(make_layout(free), 0.02).read(message(["pin"], velocity=[3.0]), NOW, 0, None)
-    assert found == ("pin", 0.0, 3.0, 0)
+    assert found == Command(TARGET, "pin", (0.0, 3.0))
 
 
-@pytest.mark.parametrize("stamp_ns, start_ns", [(0, 0), (NOW - 1, 0), (NOW, 0), (NOW + 1, NOW + 1), (NOW - 10**9, 0)])
+@pytest.mark.parametrize(
+    "stamp_ns, start_ns", [(0, None), (NOW - 1, None), (NOW, None), (NOW + 1, NOW + 1), (NOW - 10**9, None)]
+)
 def test_a_future_stamp_is_awaited(layout, stamp_ns, start_ns):
     payload = message(["pin"], effort=[1.0], stamp_ns=stamp_ns)
     (command,) = JointCommandInput(layout, 0.02).read(payload, NOW, 0, None)
@@ -90,7 +93,7 @@ def test_a_future_stamp_is_awaited(layout, stamp_ns, start_ns):
 def test_stamps_of_another_clock_can_be_ignored(layout, stamp_ns):
     payload = message(["pin"], effort=[1.0], stamp_ns=stamp_ns)
     (command,) = JointCommandInput(layout, 0.02).read(payload, 10 * NOW, 0, 0.1, stamped=False)
-    assert command.start_ns == 0
+    assert command.start_ns is None
 
 
 @pytest.mark.parametrize(
@@ -159,7 +162,7 @@ def test_joints_of_a_robot_have_the_names_of_its_file(tmp_path):
     (scene_name,) = set(layout.coordinates.names) - {"extend"}
     reader = JointCommandInput(layout, 0.02)
     found = reader.read(message(["extend", "shoulder-1"], effort=[1.0, 2.0]), NOW, 0, None)
-    assert [(c.joint, c.effort) for c in found] == [("extend", 1.0), (scene_name, 2.0)]
+    assert [(c.name, *c.values) for c in found] == [("extend", 1.0), (scene_name, 2.0)]
     assert scene_name != "shoulder-1"
     for name, reason in (("tip_joint", "no_coordinate"), ("flange", "unknown_joint"), (scene_name, "unknown_joint")):
         with pytest.raises(Refusal) as caught:
@@ -227,9 +230,9 @@ def test_a_screw_takes_the_commands_of_a_joint_with_one_coordinate():
     """In rad and N m about its axis; one that is not driven takes efforts."""
     reader = JointCommandInput(make_layout(scene_from_text(SCREW)), 0.02)
     (motion,) = reader.read(message(["thread"], [3.0], [0.5]), NOW, 0, None)
-    assert motion[:4] == ("thread", 3.0, 0.5, 0.02)
+    assert motion == Command(MOVE, "thread", (3.0, 0.5, 0.02))
     (effort,) = reader.read(message(["other"], effort=[1.5]), NOW, 0, None)
-    assert (effort.joint, effort.effort) == ("other", 1.5)
+    assert (effort.name, *effort.values) == ("other", 1.5)
     for payload, reason in (
         (message(["other"], [1.0]), "no_servo"),
         (message(["thread"], [4.1]), "beyond_limits"),

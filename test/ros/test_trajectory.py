@@ -309,9 +309,9 @@ def test_an_array_commands_one_interface_of_the_joints(layout):
         array = serialize_message(Float64MultiArray(data=list(map(float, numbers))))
         return reader.read_array(array, names, interface, held)
 
-    assert [(c.joint, c.effort) for c in read(1, math.nan)] == [("rail", 1.0)]
+    assert [(c.name, *c.values) for c in read(1, math.nan)] == [("rail", 1.0)]
     found = read(1, 2, interface="position")
-    assert [(c.joint, c.position, c.velocity) for c in found] == [("rail", 1, 0), ("pin", 2, 0)]
+    assert [(c.name, *c.values) for c in found] == [("rail", 1, 0), ("pin", 2, 0)]
     for arguments, reason in (
         ({"numbers": (1,)}, "wrong_length"),
         ({"numbers": (1, math.inf)}, "not_finite"),

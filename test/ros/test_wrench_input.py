@@ -37,8 +37,8 @@ def read(frame, kind="wrench", body=None, wrench=WRENCH, stamp_ns=0, held=0, pre
 )
 def test_the_frame_id_selects_body_source_and_axes(kind, body, frame, source, axes):
     push = read(frame, kind, body)
-    assert (push.source, push.axes, push.wrench) == (source, axes, WRENCH)
-    assert push.body == (body or frame.partition("/")[0])
+    assert (push.source, push.axes, push.values) == (source, axes, WRENCH)
+    assert push.name == (body or frame.partition("/")[0])
 
 
 @pytest.mark.parametrize(
@@ -95,7 +95,7 @@ def test_arbitrary_bytes_do_not_crash_the_reader(payload):
     for prefix in (b"", b"\0\1\0\0" + struct.pack("<iII", 1, 2, 4) + b"top\0"):
         try:
             push = reader.read(prefix + payload, "wrench", None, NOW, 0)
-            assert push.body == "top"
+            assert push.name == "top"
         except Refusal:
             pass
     assert reader.accepted + sum(reader.refused.values()) == 2
@@ -135,8 +135,8 @@ def test_a_merged_link_has_its_axes_and_its_origin():
         for frame in ("a/tcp/me", "a/tool")
     )
     # z x and y turned by a quarter, and (0.5, 0, 0) x (-5, 4, 6).
-    assert (push.body, push.axes) == ("tool", "body")
-    assert push.wrench == (-2.0, 1.0 - 3.0, 3.0 + 2.0, -5.0, 4.0, 6.0)
-    assert own.wrench == WRENCH and own.source != push.source
+    assert (push.name, push.axes) == ("tool", "body")
+    assert push.values == (-2.0, 1.0 - 3.0, 3.0 + 2.0, -5.0, 4.0, 6.0)
+    assert own.values == WRENCH and own.source != push.source
     assert reader.body_and_name("a/tcp") == ("tool", "(tcp)")
     assert push.source.startswith(source_prefix("wrench", "tool/(tcp)"))
