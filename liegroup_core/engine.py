@@ -6,7 +6,6 @@ import copy
 import time
 from collections.abc import Callable, Iterator
 from fractions import Fraction
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,6 @@ from liegroup_core.compiling import warm_up
 from liegroup_core.errors import SimulationError
 from liegroup_core.fields.arguments import finite, floats, got, is_count, is_finite
 from liegroup_core.forces.instants import AFTER, LATEST, NEVER, NOT_AHEAD, StepGrid
-from liegroup_core.forces.timetable import Timetable, just_after
 from liegroup_core.inputs import Inputs
 from liegroup_core.joint_events import JointEvents
 from liegroup_core.layout import Layout, make_layout
@@ -143,13 +141,9 @@ class Engine:
         self._stop_at = getattr(self._integrator, "stop_at", None)
         self._work.clock.step_size[0], self._limited = self.step, False
         self._prepared = self._served = -1  # changes of the inputs at the last integration, and steps that it passed
-        rows, motions = self.layout.model.forces.applied_wrench, self.layout.motions.values()
-        self._grid = StepGrid(self.step)
-        self._timetable = Timetable(rows, self._grid, motions)
-        self._warnings = Warnings(quiet)
-        self.inputs = Inputs(
-            self.layout, self._grid, self._work.targets, partial(getattr, self, "now"), self._warnings.late
-        )
+        self._grid, self._warnings = StepGrid(self.step), Warnings(quiet)
+        arrays = self._work.targets, self._work.motions
+        self.inputs = Inputs(self.layout, self._grid, *arrays, self, self._warnings.late)
         self.events = JointEvents(self.layout, self._switching)
         self._start = initial_state(self.layout.centred)
         self._block, self._halted = FIRST_BLOCK, False
@@ -163,7 +157,7 @@ class Engine:
         self.reset()
         self._integrate(self.now, self.step, 0, self.now)
         if self._switching is not None:
-            self._switching.touch(self._pose, self._twist, self.inputs.external)
+            self._switching.touch(self._pose, self._twist, self.inputs.acting.external)
             self.reset()
         sample = self.sample()
         return (
@@ -231,6 +225,7 @@ class Engine:
     def begin_at(self, time_ns):
         """Move a state that was set to a time in ns."""
         self.base = self.now = self._grid.marked(time_ns)
+        self.inputs.clear(self.base)
 
     def _start_at(self, pose, twist, instant, angles):
         """Start again from a valid state at an Instant; the engine takes over its arrays."""
@@ -239,7 +234,7 @@ class Engine:
         self._pose, self._twist = pose, twist
         self.base = self.now = instant
         self._here, self._served = None, -1
-        self.inputs.clear()
+        self.inputs.clear(instant)
         self._integrator.restart()
 
     def start_from(self, other, instant=None):
@@ -524,6 +519,8 @@ class Engine:
         """Move the base and the present time."""
         if (base, now) != (self.base, self.now):
             self.base, self.now, self._here = base, now, None
+            if base >= self.inputs.schedule.next_of_scene:
+                self.inputs.update(base)
 
     def _next_stop(self, until):
         """(Instant up to which the inputs that act now stay as they are, whole steps to it, their changes there).
@@ -537,15 +534,13 @@ class Engine:
             if stop == until or stop.step >= longest:
                 stop = grid.boundary(min(stop.step, longest))
             return (stop, stop.step - base.step + (stop.offset > 0), ()) if stop > base else (None, 0, ())
-        change, inside = self._timetable.next_change(base.step), self._timetable.inside(base.step)
-        if schedule:
-            change = min(change, schedule.next_change(base.step))
-            inside = {*inside, *schedule.inside(base.step)}
-        for instant in sorted(each for each in inside if base < each < until) if inside else ():
-            changed = schedule.update(instant)
+        change, inside = schedule.next_change(base.step), schedule.inside(base.step)
+        for instant in inside:
             # A part ends only where a total changes.
-            if changed or instant in self._timetable.inside(base.step):
-                return instant, 0, changed
+            if base < instant < until:
+                if changed := schedule.update(instant):
+                    return instant, 0, changed
+                self.inputs.apply(instant, ())
         steps = min(until.step, base.step + 1 if inside or base.offset else change) - base.step
         if steps == 0:
             return None, 0, ()
@@ -582,7 +577,7 @@ class Engine:
         work, pose, twist = self._work, np.empty_like(self._pose), np.empty_like(self._twist)
         clock, angles, modes = work.clock, work.angle.copy(), [array.copy() for array in self._modes]
         clock.to_step[0], clock.until[0] = self._grid.parts(self.now)
-        status = self._integrator.inside(pose, twist, self.inputs.external)
+        status = self._integrator.inside(pose, twist, self.inputs.acting.external)
         found = pose, twist, work.angle.copy(), self._switching and self._switching.present_modes()
         work.angle[:], self._modes = angles, modes
         self._checked(status)
@@ -592,7 +587,7 @@ class Engine:
         """`here` from the integration that runs ahead, up to the present time; None: not from it, as near an event."""
         if not self.runs_ahead:
             return None
-        base, now, integrator, external = self.base, self.now, self._integrator, self.inputs.external
+        base, now, integrator, external = self.base, self.now, self._integrator, self.inputs.acting.external
         pose, twist, angles = self._pose.copy(), self._twist.copy(), self._work.angle.copy()
         h, modes = self._grid.between(base, now), [array.copy() for array in self._modes]
         self._prepare(base, h, now)
@@ -640,14 +635,10 @@ class Engine:
 
     def change_after(self, instant):
         """First Instant after another at which an input changes, or AFTER."""
-        if not (self._timetable or self.inputs.schedule):
-            return AFTER
-        return min(self._timetable.next_after(instant), self.inputs.schedule.next_after(instant))
+        return self.inputs.schedule.next_after(instant) if self.inputs.schedule else AFTER
 
     def changes_before(self, steps):
         """Whether an input changes after the present time and before a step count."""
-        if not (self._timetable or self.inputs.schedule):
-            return False
         return self.change_after(self.now) < self._grid.boundary(steps)
 
     def instant_inside(self, step, part):
@@ -668,7 +659,7 @@ class Engine:
         returns (steps done, status)
         """
         self._prepare(start, h, end)
-        found = self._integrator.advance(h, steps, self._pose, self._twist, self.inputs.external)
+        found = self._integrator.advance(h, steps, self._pose, self._twist, self.inputs.acting.external)
         self._note_lead()
         return found
 
@@ -676,32 +667,29 @@ class Engine:
         self._served = min(self.lead[0], self.inputs.schedule.next.step)
 
     def _prepare(self, start, h, end):
-        """Set the inputs and times of steps of size h from an Instant to another."""
-        self._set_inputs(start, h)
+        """Set the times of steps of size h from an Instant to another."""
+        clock, whole = self._work.clock, h == self.step and not start.offset
+        self._set_clock(start, start.step if whole else None)
         self._prepared, self._served = self.inputs.changes, -1
-        clock = self._work.clock
         clock.from_step[0], clock.since[0] = self._grid.parts(start)
         clock.to_step[0], clock.until[0] = self._grid.parts(end)
-        if self._stop_at is not None and (self._limited or self._timetable or self.inputs.known_end is not AFTER):
-            known = min(self._timetable.next_after(start), self.inputs.known_end)
+        if self._stop_at is not None:
+            known = self.inputs.known_end
             if known is not AFTER or self._limited:
                 self._stop_at(self._grid, start, known)
                 self._limited = known is not AFTER
 
-    def _set_inputs(self, start, h):
-        """Set the time-dependent inputs of a step of size h from an Instant on."""
-        work, time = self._work, start.time
-        if len(work.acting):
-            work.acting[:] = self._timetable.acting(start)
-        if len(work.motions):
-            # The middle is away from all changes: round-off has no influence.
-            work.motions[:] = self.layout.motions_at(time + 0.5 * h, self.inputs.commanded)
-        clock, whole = work.clock, h == self.step and not start.offset
-        clock.count[0], clock.offset[0], clock.now[0] = (start.step, 0.0, time) if whole else (0.0, time, time)
+    def _set_clock(self, start, steps=None):
+        """Set the time of the next step to an Instant; steps : those before it, if whole steps begin there."""
+        clock, time = self._work.clock, start.time
+        clock.count[0], clock.offset[0], clock.now[0] = (0.0, time, time) if steps is None else (steps, 0.0, time)
 
-    def set_inputs_from(self, instant):
-        """Set the time-dependent inputs that hold from an Instant on: a motion may have knots within the step."""
-        self._set_inputs(instant, 2.0 * (just_after(instant.time) - instant.time))
+    def act_from(self, instant):
+        """Let what acts from an Instant on act, and set the time: the engine does not move there."""
+        if instant < self.inputs.schedule.reached:
+            self.inputs.set_commands(self.inputs.commands, instant)
+        self.inputs.update(instant)
+        self._set_clock(instant)
 
     def sample(self, time: float | None = None) -> Sample:
         """Create a Sample of the present state, or of a later one.
@@ -741,14 +729,10 @@ class Engine:
         pose, twist, angles, modes = self.here()
         sample = Sample(self.layout, self.time, self.time_ns, self.steps, pose.copy(), twist.copy(), angles.copy())
         if self.inputs.schedule:
-            sample.external = self.inputs.external.copy()
+            sample.acting = self.inputs.acting.copy()
             sample.joint_efforts = self.inputs.schedule.efforts
-        if len(self._work.targets):
-            sample.targets = self._work.targets.copy()
         if self._switching is not None:
             sample.switching = self._modes_now() if modes is None else modes
-        if len(self._work.motions):
-            sample.motions = self.layout.motions_at(self.time, self.inputs.commanded)
         return sample
 
     @property
@@ -758,8 +742,8 @@ class Engine:
 
     def _modes_now(self):
         """(k, 5) modes of the joints with stops or friction, see Sample.switching."""
-        self.set_inputs_from(self.base)
-        return self._switching.modes(self.base.time, (self._pose, self._twist, self.inputs.external))
+        self._set_clock(self.base)
+        return self._switching.modes(self.base.time, (self._pose, self._twist, self.inputs.acting.external))
 
     def reaction_array(self, out: Floats | None = None) -> Floats:
         """Reactions of all joints of the state that `sample` gives, bit-identical to those of the Sample.
@@ -776,8 +760,7 @@ class Engine:
         found = reactions.empty()
         if reactions.has_inputs:
             reactions.take(*self._inputs_now())
-        external = self.inputs.external if self.inputs.schedule else reactions.idle
-        if reactions.present(self._pose, self._twist, external, found) != REGULAR:
+        if reactions.present(self._pose, self._twist, self.inputs.acting.external, found) != REGULAR:
             return self._given(self.sample().reaction_array, out)  # a singular pose, or an error
         return self._given(found[: len(reactions.names)], out)
 
@@ -794,11 +777,7 @@ class Engine:
         if self._switching is not None:
             if not self.layout.reactions.take_modes(*self._integrator.mechanism):
                 modes = self._modes_now()
-        acting = work.acting
-        if len(acting):
-            acting = self._timetable.acting(self.base)
-        motions = self.layout.motions_at(self.time, self.inputs.commanded)
-        return work.angle, acting, work.targets, motions, modes, self.time
+        return work.angle, self.inputs.acting, modes, self.time
 
     def energy(self) -> float:
         """Kinetic energy plus potential energy of gravity and springs of the state that `sample` gives, J."""

@@ -8,13 +8,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from liegroup_core.fields.arguments import check_name, floats, got, is_finite
-from liegroup_core.forces.commands import AXES, CLEAR, EFFORT, MOTION, MOVE, TARGET, WRENCH, Command, Commands
+from liegroup_core.forces.acting import Acting
+from liegroup_core.forces.commands import AXES, CLEAR, EFFORT, MOTION, MOVE, SCENE, TARGET, WRENCH, Command, Commands
 from liegroup_core.forces.external import no_wrenches, parts_of_wrench, set_wrench
 from liegroup_core.forces.instants import AFTER, NS
 from liegroup_core.forces.kinds import servos, target_values
 from liegroup_core.forces.schedule import BODY, DRIVE, IN_WORLD, LEVERS, SERVO, Schedule
 from liegroup_core.joints.limits import check_number, usable
-from liegroup_core.joints.motion import at, row_at, through
+from liegroup_core.joints.motion import at, through
 
 
 class Inputs:
@@ -22,14 +23,14 @@ class Inputs:
 
     layout  : Layout of the scene
     grid    : StepGrid of the steps
-    targets : (k, 2) array of the integrator, set to the targets of servos that act
-    present : function that returns the Instant from which on a command may act
+    targets, motions : (k, 2), (d, 7) arrays of the integrator, set to the targets of servos and motions of driven
+              joints that act
+    engine  : Engine, or None: `show` says when the commands act
     tell    : function that takes a text about a command that came late
 
-    external  : (n, COLUMNS) external wrenches that act, see forces/external.py
-    commanded : (d, 7) commanded motions of driven joints, or FROM_SCENE
+    acting    : Acting, with the arrays `targets` and `motions`
     schedule  : Schedule
-    known_end : Instant at which the first of the commands that act ends, as it was given
+    known_end : first Instant at which a command that acts ends, as it was given, or the scene changes anything
     changes   : number of changes of what acts or waits
     follower  : Inputs of another Engine that takes all commands, too, or None
     log       : [Command] since they were last taken; None: not logged
@@ -37,62 +38,76 @@ class Inputs:
 
     KEPT = ("commands",)
 
-    def __init__(self, layout, grid, targets, present, tell=None):
-        self._layout, self._grid, self._present, self._tell = layout, grid, present, tell
+    def __init__(self, layout, grid, targets, motions, engine=None, tell=None):
+        self._layout, self._grid, self._engine, self._tell = layout, grid, engine, tell
         self._bodies = {name: i for i, name in enumerate(layout.body_names)}
         self._drives, self._servos = tuple(layout.motions), tuple(layout.servos)
-        self.schedule = Schedule(len(self._bodies), target_values(layout.model.forces), len(self._drives))
-        self.external, self.targets = no_wrenches(layout.offsets), targets
-        self.commanded = self.schedule.total[DRIVE].copy()
-        self.follower, self.log, self.changes = None, [], 0
+        scene = []
+        for k, (start, end, command) in enumerate(layout.commands):
+            key, parts = self._effects(command)
+            key = key if command.kind == MOTION else ("", SCENE, k)  # those of the scene add up
+            scene.append((grid.scene_instant(start), grid.scene_instant(end), key, parts, command))
+        self.schedule = Schedule(len(self._bodies), target_values(layout.model.forces), len(self._drives), scene)
+        self.acting = Acting(no_wrenches(layout.offsets), targets, motions)
+        self.follower, self.log, self.changes, self._shown = None, [], 0, ()
+        self._take_totals()
 
-    def clear(self):
-        """Discard all commands: servos and driven joints follow the scene."""
-        self.schedule.clear_all()
+    def clear(self, instant):
+        """Discard all commands: from an Instant on, only the scene acts."""
+        self.schedule.restart(instant)
         self._take_totals()
 
     def held(self):
         """Copy of all that acts and waits, exactly, for `give_back`: `commands` know the ends of a clear."""
-        return self.schedule.held(), self.known_end, self.external.copy(), self.targets.copy(), self.commanded.copy()
+        return self.schedule.held(), self.known_end, self.acting.copy()
 
     def give_back(self, held):
         """Return to what `held` gave."""
         self.changes += 1
-        schedule, self.known_end, self.external[:], self.targets[:], self.commanded[:] = held
+        schedule, self.known_end, acting = held
         self.schedule.give_back(schedule)
+        self.acting.set(acting)
 
     def freeze(self):
-        """Keep what acts, and discard all commands, until `commands` are set: nothing changes."""
-        self.schedule.clear_all()
-        self.known_end = AFTER
+        """Let what acts have no end and discard what waits, but for the scene, until `commands` are set."""
+        endless = (command._replace(end_ns=None, cleared_ns=None) for command in self.commands.acting)
+        self.commands = Commands(tuple(endless))
+
+    def show(self, acting, instant):
+        """Let Commands that act at an Instant act, and the scene; without an engine."""
+        if acting != self._shown or instant < self.schedule.reached:
+            self.set_commands(Commands(acting), instant)
+            self._shown = acting
+        self.update(instant)
 
     def _take_totals(self):
         self.changes += 1
-        self.external[:] = no_wrenches(self._layout.offsets)
+        total, external = self.schedule.total, no_wrenches(self._layout.offsets)
         for axes in (BODY, IN_WORLD, LEVERS):
-            total = self.schedule.total[axes]
-            for body in np.flatnonzero(total.any(axis=1)).tolist():
-                set_wrench(self.external, body, total[body], axes)
-        self.targets[:] = self.schedule.total[SERVO]
-        self.commanded[:] = self.schedule.total[DRIVE]
+            for body in np.flatnonzero(total[axes].any(axis=1)).tolist():
+                set_wrench(external, body, total[axes][body], axes)
+        self.acting.set((external, total[SERVO], total[DRIVE]))
         self._note_ends()
         if self.log:
             self.log = []
 
     def _note_ends(self):
-        self.known_end = min(
-            (self._end(entry.command) for entry in self.schedule.acting if entry.command.kind in (WRENCH, EFFORT)),
-            default=AFTER,
-        )
+        commands = [entry.command for entry in self.schedule.acting]
+        ends = [self._end(command) for command in commands if command.kind in (WRENCH, EFFORT)]
+        self.known_end = min([*ends, self.schedule.next_of_scene])
 
     @property
     def commands(self):
         """Commands that act or start later, of which a state consists."""
-        return Commands(*(tuple(map(self._marked, part)) for part in (self.schedule.acting, self.schedule.waiting)))
+        return Commands(*(tuple(map(self._marked, part)) for part in (self.schedule.acting, self.schedule.later)))
 
     @commands.setter
     def commands(self, commands):
-        self.schedule.clear_all()
+        self.set_commands(commands, self._engine.base)
+
+    def set_commands(self, commands, instant):
+        """Let Commands act from an Instant on, and the scene."""
+        self.schedule.restart(instant)
         for command in commands.acting:
             key, parts = self._effects(command)
             self.schedule.resume(command, key, parts, self._ends(command))
@@ -118,7 +133,7 @@ class Inputs:
 
         Raises ValueError for an unknown body or joint.
         """
-        self._insert(command, max(self._present(), self._grid.marked(command.start_ns)), self._end(command))
+        self._insert(command, max(self._engine.now, self._grid.marked(command.start_ns)), self._end(command))
 
     def _insert(self, command, begin, end):
         """Take a Command from an Instant on, up to another one."""
@@ -131,6 +146,8 @@ class Inputs:
         else:
             key, parts = self._effects(command)
             self.schedule.insert(command, key, parts, begin, end)
+            if command.kind == MOTION:  # it may replace motions of the scene
+                self._note_ends()
         if self.follower is not None:
             self.follower.accept(command)
         if self.log is not None and command.kind in (WRENCH, EFFORT, CLEAR):
@@ -262,7 +279,7 @@ class Inputs:
             return
         self.command_motion(command.name, *_points(command), start=start)
         if duration is not None:
-            begin = self._present().time if start is None else start
+            begin = self._engine.now.time if start is None else start
             self.command_motion(command.name, command.values[2:], None, [0.0], start=begin + duration)
 
     def check(self, command):
@@ -339,8 +356,6 @@ class Inputs:
             raise ValueError("times must be at least 1 ns apart")
         origins = [instant.time for instant in instants]
         motion = self.schedule.motion_at(number, begin)
-        if not np.isfinite(motion[0]):
-            motion = row_at(self._layout.motions[joint], begin.time)
         with np.errstate(over="ignore", invalid="ignore"):
             rows = through(at(motion, begin.time), origins, *points)
             self._layout.limits[joint].check_motion(rows, *points[:2])
@@ -350,7 +365,7 @@ class Inputs:
         """Raise BeyondLimits for a target position to which the servo of a joint cannot jump now."""
         number = self._servo(joint)
         if servos(self._layout.scene.forces)[number].stiffness > 0.0:
-            before = float(self.targets[number, 0])
+            before = float(self.acting.targets[number, 0])
             self._layout.limits[joint].check_jump(before, position)
 
     def _drive(self, joint):
@@ -363,7 +378,7 @@ class Inputs:
         for name, value in (("start", start), ("duration", duration)):
             if value is not None and not is_finite(value):
                 raise ValueError(f"{name} must be finite, or None, {got(value)}")
-        now = self._present()
+        now = self._engine.now
         begin, end = now if start is None else self._grid.instant(_exact_or_float(start)), AFTER
         if duration is not None:
             if not duration > 0.0:
@@ -379,7 +394,7 @@ class Inputs:
     @property
     def commanded_motions(self) -> tuple[str, ...]:
         """Driven joints with a commanded motion, which acts or starts later."""
-        commands = (entry.command for entry in (*self.schedule.acting, *self.schedule.waiting))
+        commands = (entry.command for entry in (*self.schedule.acting, *self.schedule.later))
         commanded = {command.name for command in commands if command.kind == MOTION}
         return tuple(name for name in self._drives if name in commanded)
 
@@ -395,24 +410,24 @@ class Inputs:
 
     @property
     def has_wrenches(self) -> bool:
-        """Whether a wrench or an effort acts."""
-        return any(self.schedule.total[axes].any() for axes in (BODY, IN_WORLD, LEVERS))
+        """Whether a wrench or an effort acts that is not of the scene."""
+        return any(entry.command.kind in (WRENCH, EFFORT) for entry in self.schedule.acting)
 
     @property
     def targets_by_joint(self):
         """{joint: (position, velocity)}, targets of all servos."""
-        return {joint: tuple(self.targets[number].tolist()) for joint, number in self._layout.servos.items()}
+        return {joint: tuple(self.acting.targets[number].tolist()) for joint, number in self._layout.servos.items()}
 
     @property
-    def motions(self):
+    def motions_by_joint(self):
         """{joint: motion (7,)} of the driven joints with a commanded motion that acts."""
-        rows = zip(self._drives, self.commanded.tolist())
-        return {joint: tuple(row) for joint, row in rows if np.isfinite(row[0])}
+        commands = (entry.command for entry in self.schedule.acting)
+        return {command.name: command.values for command in commands if command.kind == MOTION}
 
     def clear_wrenches(self, source: str = "api") -> None:
         """End all wrenches and efforts of a source, also those that start later."""
         if source in self.schedule.sources:
-            self._insert(Command(CLEAR, "", (), None, None, source), self._present(), AFTER)
+            self._insert(Command(CLEAR, "", (), None, None, source), self._engine.now, AFTER)
 
     def drain_applied(self) -> list[Command]:
         """Return the inputs since the last call: commands, and new targets and motions where they start.
@@ -432,16 +447,17 @@ class Inputs:
         """Let the totals [(number, axes)] of the schedule act from an Instant on."""
         self._note_ends()
         self.changes += len(changed)
+        commanded = self.motions_by_joint if self._drives and changed else {}
         for number, axes in changed:
             total = self.schedule.total[axes][number]
             if axes == SERVO:
-                self.targets[number] = total
+                self.acting.targets[number] = total
             elif axes == DRIVE:
-                self.commanded[number] = total
+                self.acting.motions[number] = total
             else:
-                set_wrench(self.external, number, total, axes)
+                set_wrench(self.acting.external, number, total, axes)
                 continue
-            if self.log is not None:
+            if self.log is not None and (axes == SERVO or self._drives[number] in commanded):
                 kind, names = (TARGET, self._servos) if axes == SERVO else (MOTION, self._drives)
                 values = tuple(total.tolist())
                 self.log.append(Command(kind, names[number], values, self._grid.mark(instant)))

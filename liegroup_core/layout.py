@@ -11,6 +11,9 @@ import numpy as np
 from liegroup_core.dynamics.usual_pivot import with_usual_pivot
 from liegroup_core.errors import SceneError
 from liegroup_core.forces import kinds
+from liegroup_core.forces.acting import Acting
+from liegroup_core.forces.applied_wrench import wrenches_of
+from liegroup_core.forces.commands import MOTION, SCENE, Command
 from liegroup_core.forces.joint_effort import unit_wrenches
 from liegroup_core.joints.coupling import COUPLED
 from liegroup_core.joints.kinds import ROLLING
@@ -290,6 +293,32 @@ class Layout:
     def targets(self):
         """(k, 2) target positions and velocities of the servos without a command."""
         return kinds.target_values(self.model.forces)
+
+    @cached_property
+    def commands(self):
+        """[(start, end in s, Command)] of the scene: its applied wrenches, and the motions of its driven joints."""
+        _, wrenches = self._wrenches
+        found = [(each.start, math.inf if each.end is None else each.end, each.command) for each in wrenches]
+        for joint, rows in self.motions.items():
+            starts = [-math.inf, *rows[1:, 0].tolist()]
+            rows = map(tuple, rows.tolist())
+            found += [(start, math.inf, Command(MOTION, joint, row, source=SCENE)) for start, row in zip(starts, rows)]
+        return found
+
+    def wrenches_at(self, time):
+        """(n, COLUMNS) external wrenches of the scene that act from a time in s on."""
+        index, forces = self._wrenches
+        return wrenches_of(forces, index, self.offsets, time)
+
+    @cached_property
+    def _wrenches(self):
+        """{body: number}, and the applied wrenches of the scene."""
+        forces = [force for force in self.scene.forces if force.type == "applied_wrench"]
+        return {name: i for i, name in enumerate(self.body_names)}, forces
+
+    def acting_at(self, time):
+        """Acting, what acts by the scene from a time in s on."""
+        return Acting(self.wrenches_at(time), self.targets, self.motions_at(time))
 
     def motions_at(self, time, commanded=None):
         """(d, 7) motion of each driven joint that holds from a time on; see joints/motion.py.

@@ -69,18 +69,18 @@ def place(engine, poses=None, twists=None, joints=None) -> None:
         engine.advance(1)
     counted = [joint for joint, _ in engine.scene.unwrapped]
     angles = dict(zip(counted, engine._work.angle.tolist()))
-    motions = engine.layout.motions_at(engine.time, engine.inputs.commanded)
-    driven = {name: at(motion, engine.time)[1] for name, motion in zip(engine.layout.motions, motions)}
+    motions = zip(engine.layout.motions, engine.inputs.acting.motions)
+    driven = {name: at(motion, engine.time)[1] for name, motion in motions}
     *state, angles = rearranged(
         engine.layout.centred, *engine.state(), centred_poses, centred_twists, joints, angles, driven
     )
     _refuse_beyond_stops(engine, *state, joints, angles)
     _refuse_beyond_limits(engine, *state, joints)
-    commanded, before = engine.inputs.commanded.copy(), engine.inputs.commands
+    motions, before = engine.inputs.acting.motions.copy(), engine.inputs.commands
     present, applied, events = engine.sample(), engine.inputs.log, engine.events.pending
     engine.set_state(*state, engine.steps, np.array([angles[joint] for joint in counted]))
     _keep_turns(engine, present, joints)
-    engine.inputs.commands = _motions_after(engine, commanded, before, joints)
+    engine.inputs.commands = _motions_after(engine, motions, before, joints)
     engine.inputs.log, engine.events.pending = applied, events  # the run goes on
     engine.inputs.update(engine.now)
 
@@ -162,17 +162,16 @@ def _joint_states(engine, pose, twist, wanted):
             yield joint, joint_state(start, joint, *frames)
 
 
-def _motions_after(engine, commanded, before, joints):
+def _motions_after(engine, motions, before, joints):
     """Commands after a new state: those of driven joints that it does not move, constant rates of the others.
 
-    commanded : (d, 7) motions before
-    before    : Commands before
-    joints    : {joint: (position, velocity)} that were given, with their whole turns
+    motions : (d, 7) of the driven joints before
+    before  : Commands before
+    joints  : {joint: (position, velocity)} that were given, with their whole turns
     """
     acting, waiting = [], []
     driven = _joint_states(engine, *engine.state(), lambda joint: joint.driven)
-    motions = engine.layout.motions_at(engine.time, commanded)  # in the order of the joints, too
-    for (joint, (q, v)), motion in zip(driven, motions):
+    for (joint, (q, v)), motion in zip(driven, motions):  # in the order of the joints, too
         was = at(motion, engine.time)
         near, _ = joints.get(joint.name, (None, None))
         near = was[0] if near is None else near

@@ -195,7 +195,7 @@ def reason(engine, status):
     if status & 0xFF in searched and not engine.changes_before(engine.steps + 1):
         engine._work.clock.numbers[:3] = 0.0, engine.base.time, engine.base.time
         state = engine._pose.copy(), engine._twist.copy()
-        works = step_that_works(engine._integrator, engine.step, *state, engine.inputs.external)
+        works = step_that_works(engine._integrator, engine.step, *state, engine.inputs.acting.external)
         hint = f": {works:g} s works from here" if works else ""
     if status & 0xFF == ROTATION_TOO_LARGE and engine.stabilisation != "projection":
         if engine.layout.drifts(engine.group):
@@ -241,7 +241,7 @@ def _beyond_reach(engine):
     """Text on driven joints whose motion leads beyond the reach of their loops or cams, or ""."""
     for ahead in STEPS_AHEAD:
         time = engine.time + ahead * engine.step
-        positions = [at(m, time)[0] for m in engine.layout.motions_at(time, engine.inputs.commanded)]
+        positions = [at(m, time)[0] for m in engine.inputs.acting.motions]
         found = beyond_reach(engine.layout.centred, engine._pose, positions, engine._work.angle)
         if found:
             limits = engine.layout.limits

@@ -268,16 +268,26 @@ class Simulation(Engine):
             raise
 
     def _with_offsets(self, data):
-        """Parts of a State as JSON types; from earlier versions they have the time in ns, and no Jacobians."""
+        """Parts of a State as JSON types.
+
+        From earlier versions they have a mask of the wrenches of the scene in the memory of a method, and those without
+        offsets the time in ns, and no Jacobians.
+        """
 
         def complete(parts, now_ns):
-            if not isinstance(parts, dict) or "offsets" in parts:
+            if not isinstance(parts, dict):
+                return parts
+            memory, given = self._integrator.memory, parts.get("memory")
+            whole = "offsets" in parts
+            if isinstance(given, list) and (not whole or len(given) == len(memory) + 1):
+                mask = getattr(self._integrator, "mask_before", None) or len(given)
+                given = given[:mask] + given[mask + 1 :]
+                given += encoded([np.zeros_like(array) for array in memory[len(given) :]])
+                parts = parts | {"memory": given}
+            if whole:
                 return parts
             now = 0 if now_ns is None else self._grid.marked(now_ns).offset
-            parts, memory = parts | {"offsets": [0, 1, *Fraction(now).as_integer_ratio()]}, self._integrator.memory
-            if isinstance(given := parts.get("memory"), list):
-                parts["memory"] = given + encoded([np.zeros_like(array) for array in memory[len(given) :]])
-            return parts
+            return parts | {"offsets": [0, 1, *Fraction(now).as_integer_ratio()]}
 
         if isinstance(data.get("running"), dict) and "companion" in data["running"]:
             data = data | {"running": data["running"] | {"companion": complete(data["running"]["companion"], None)}}

@@ -35,7 +35,7 @@ def _set_stage(simulation, model, work, pose, twist):
     pose = simulation.state()[0] if pose is None else pose
     twist = simulation.state()[1] if twist is None else twist
     work.known[0] = 0.0  # the coordinates are found from the state
-    steps.enter(model, work, pose, twist, simulation.inputs.external)
+    steps.enter(model, work, pose, twist, simulation.inputs.acting.external)
     steps.begin(model, work, work.pose, work.twist)
     work.known[0] = 0.0
 
@@ -107,7 +107,7 @@ def engine_accelerations(scene, wrenches=(), **options):
         simulation.apply_wrench(body, wrench, source=axes, axes=axes)
     simulation.advance(0)  # writes the wrenches of this instant
     model, work = at_stage(simulation)
-    assert steps.accelerate(model, work, simulation.inputs.external) == -1
+    assert steps.accelerate(model, work, simulation.inputs.acting.external) == -1
     return _of_bodies(model, work, simulation.state()[0])
 
 

@@ -24,7 +24,7 @@ class Accelerations:
         engine.set_state(*self.offsets.to_centres(pose, twist))
         engine.advance(0)
         model, work = engine._integrator.mechanism
-        pose, twist, external, status = relative.enter(model, work, *engine.state(), engine.inputs.external)
+        pose, twist, external, status = relative.enter(model, work, *engine.state(), engine.inputs.acting.external)
         assert status == 0
         relative.begin(model, work, pose, twist)
         assert relative.accelerate(model, work, external) == -1

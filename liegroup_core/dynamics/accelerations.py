@@ -30,9 +30,7 @@ def apply_forces(model, work, external):
     space = work.space
     place_bodies(model, work, space.stage_pose, space.stage_twist)
     set_external_wrenches(external, space.stage_pose, work.wrench)
-    add_wrenches(
-        model.space.forces, work.angle, work.acting, work.targets, space.stage_pose, space.stage_twist, work.wrench
-    )
+    add_wrenches(model.space.forces, work.angle, work.targets, space.stage_pose, space.stage_twist, work.wrench)
     apply_wrenches(model, work)
 
 

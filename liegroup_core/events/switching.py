@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from liegroup_core.dynamics.switches import LOWER, SLIDING, UPPER, modes_of
+from liegroup_core.forces.acting import Acting
 from liegroup_core.joints.stops import WITHIN_A_TURN
 from liegroup_core.mechanism.arrays import BEGIN, COORDINATE, KNOWN, SIDE, SLIP, SPAN, WATCHED
 from liegroup_core.status import BEYOND_STOP, EVENT, EVENTS_WITHOUT_END, MOST_EVENTS, OK, TOO_MANY_SUBSTEPS
@@ -181,17 +182,13 @@ class Switching(EventTimes):
         return self.are_known and (not self.any_at_rest or self._same(external))
 
     def _note_inputs(self, external):
-        work = self._work
-        self._inputs = (external.copy(), work.acting.copy(), work.targets.copy(), work.motions.copy())
+        self._inputs = Acting(external, self._work.targets, self._work.motions).copy()
 
     def _same(self, external):
         """Whether the inputs are those for which the modes were found."""
         work = self._work
-        inputs = external, work.acting, work.targets, work.motions
-        last = self._inputs
-        if self._lead.known:
-            last = work.lead_external, work.lead_acting, work.lead_targets, work.lead_motions
-        return last is not None and all(map(np.array_equal, inputs, last))
+        last = self._lead.acting if self._lead.known else self._inputs
+        return last is not None and last.is_same((external, work.targets, work.motions))
 
     def _meet_inputs(self, time, state):
         """Find the modes after a state was set or the inputs changed."""

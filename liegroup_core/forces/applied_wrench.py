@@ -1,35 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """Constant wrench on a body, in body or world axes, between a start and an end time.
 
-A row acts over a whole integration step or not at all: steps are split where a wrench starts or
-ends (timetable.py).
+It is a command of the scene, see schedule.py, and a part of the external wrenches (external.py).
 """
 
-import math
 from typing import Literal
 
-import numpy as np
 from pydantic import Field, model_validator
 
-from liegroup_core.compiling import kernel
 from liegroup_core.errors import SceneError
 from liegroup_core.fields.values import NotNegative, Positive, Text, Vector3
-from liegroup_core.lie.vec3 import add3, cross3, dot3, load3, load9, tmatvec3, vector3
 
+from .commands import SCENE, WRENCH, Command
 from .described import Force
-
-ROW = np.dtype(
-    [
-        ("body", "i8"),
-        ("world_axes", "i8"),  # 1: world axes, 0: body axes
-        ("torque", "f8", (3,)),
-        ("force", "f8", (3,)),  # N m, N
-        ("point", "f8", (3,)),  # m, in the frame of the body
-        ("start", "f8"),
-        ("end", "f8"),  # s; end may be infinite
-    ],
-    align=True,
-)
+from .external import no_wrenches, parts_of_wrench, set_wrench
 
 
 class ConstantWrench(Force):
@@ -54,67 +38,28 @@ class ConstantWrench(Force):
             )
         return self
 
+    @property
+    def command(self):
+        """The same wrench as a Command."""
+        point = self.point if any(self.point) else None
+        return Command(WRENCH, self.body, (*self.torque, *self.force), source=SCENE, axes=self.axes, point=point)
 
-def make_row(wrench, index, ends):
-    """Record of a ConstantWrench; arguments as in kinds.make_forces."""
-    return (
-        index[wrench.body],
-        wrench.axes == "world",
-        wrench.torque,
-        wrench.force,
-        wrench.point,
-        wrench.start,
-        math.inf if wrench.end is None else wrench.end,
-    )
+    def acts(self, time):
+        """Whether it acts from a time in s on."""
+        return self.start <= time and (self.end is None or time < self.end)
 
 
-@kernel
-def _in_body(row, pose):
-    """Torque about the centre of mass, and force; body axes."""
-    torque = vector3(row["torque"])
-    force = vector3(row["force"])
-    if row["world_axes"] == 1:
-        rot = load9(pose, row["body"], 0)
-        torque = tmatvec3(rot, torque)
-        force = tmatvec3(rot, force)
-    return add3(torque, cross3(vector3(row["point"]), force)), force
+def wrenches_of(forces, index, offsets, time=None):
+    """(n, COLUMNS) external wrenches by the ConstantWrenches among forces; index : {body: number}, offsets : Offsets.
 
-
-@kernel
-def add_wrench(rows, acting, pose, wrench_out):
-    """Add the wrenches of the rows that act; acting (k,) bool."""
-    for e in range(len(rows)):
-        if acting[e]:
-            body = rows[e]["body"]
-            torque, force = _in_body(rows[e], pose)
-            for c in range(3):
-                wrench_out[body, c] += torque[c]
-                wrench_out[body, 3 + c] += force[c]
-
-
-@kernel
-def power(rows, acting, pose, twist):
-    """Power of the rows that act, W."""
-    total = 0.0
-    for e in range(len(rows)):
-        if acting[e]:
-            body = rows[e]["body"]
-            torque, force = _in_body(rows[e], pose)
-            total += dot3(torque, load3(twist, body, 0)) + dot3(force, load3(twist, body, 3))
-    return total
-
-
-@kernel
-def add_change(rows, acting, pose, moves, wrench_out):
-    """Add the changes of the wrenches in world axes along displacements, see changes.py."""
-    for e in range(len(rows)):
-        row = rows[e]
-        if acting[e] and row["world_axes"] == 1:
-            body = row["body"]
-            rot, turn = load9(pose, body, 0), load3(moves, body, 0)
-            torque = cross3(tmatvec3(rot, vector3(row["torque"])), turn)
-            force = cross3(tmatvec3(rot, vector3(row["force"])), turn)
-            torque = add3(torque, cross3(vector3(row["point"]), force))
-            for c in range(3):
-                wrench_out[body, c] += torque[c]
-                wrench_out[body, 3 + c] += force[c]
+    time : s, from which they act; None: all of them, whenever they act
+    """
+    external, totals = no_wrenches(offsets), {}
+    for force in forces:
+        if isinstance(force, ConstantWrench) and (time is None or force.acts(time)):
+            command = force.command
+            for axes, values in parts_of_wrench(command.values, command.axes, command.point):
+                totals.setdefault((index[force.body], axes), []).append(values)
+    for (body, axes), parts in totals.items():
+        set_wrench(external, body, [sum(column) for column in zip(*parts)], axes)
+    return external

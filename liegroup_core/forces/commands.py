@@ -17,6 +17,7 @@ WRENCH, EFFORT, TARGET, MOTION, CLEAR = "wrench", "effort", "target", "motion", 
 KINDS = {WRENCH: 6, EFFORT: 1, TARGET: 2, MOTION: COLUMNS, CLEAR: 0}
 MOVE = "move"  # becomes motions when it starts, from where the joint is then
 AXES = ("body", "world")
+SCENE = "scene"  # source of what acts by the scene itself
 
 
 class Command(NamedTuple):

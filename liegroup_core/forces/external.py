@@ -54,6 +54,13 @@ def _moment(point, force):
     return cross3(tuple(point.tolist()), tuple(force.tolist()))
 
 
+def power(external, pose, twist):
+    """Power of external wrenches in a state at the centres of mass, W."""
+    wrench = np.zeros_like(twist)
+    set_external_wrenches(external, pose, wrench)
+    return float(np.vdot(wrench, twist))
+
+
 @kernel
 def external_wrench(external, pose, i):
     """Torque about the centre of mass and force on body i at its pose; body axes."""

@@ -38,6 +38,11 @@ _instant = partial(tuple.__new__, Instant)  # takes half the time; every step cr
 BEFORE, AFTER = Instant(-1, 0, -math.inf), Instant(NEVER, 0, math.inf)  # before and after all others
 
 
+def just_after(time):
+    """Time in s slightly after `time`, at which an input that starts at `time` acts despite rounding."""
+    return time * (1.0 + ROUNDING)
+
+
 def _rounding(time):
     """Rounding error in ns of a computed time in s; 0 for an exact one."""
     return ROUNDING * abs(time) * NS if isinstance(time, float) else 0

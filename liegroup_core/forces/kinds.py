@@ -23,7 +23,6 @@ import numpy as np
 from liegroup_core.compiling import Struct, borrowed, kernel, shared
 
 from . import (
-    applied_wrench,
     drag,
     linear_motor,
     linear_servo,
@@ -68,8 +67,9 @@ FORCES = (
     Drag,
     ConstantWrench,
 )
-POWERS = ("dampers", "motors", "servos", "drag", "wrenches")  # groups of kinds in `powers`
-KINDS = {cls.model_fields["type"].default: sys.modules[cls.__module__] for cls in FORCES}
+POWERS = ("dampers", "motors", "servos", "drag")  # groups of kinds in `powers`
+# All but ConstantWrench, which is a command.
+KINDS = {cls.model_fields["type"].default: sys.modules[cls.__module__] for cls in FORCES[:-1]}
 
 
 class Forces(Struct):
@@ -83,7 +83,6 @@ class Forces(Struct):
     servo: np.ndarray
     linear_servo: np.ndarray
     drag: np.ndarray
-    applied_wrench: np.ndarray
     counted: np.ndarray  # springs without stiffness that count the turns of joints: those of couplings, then of servos
     exist: bool  # True if there are forces other than `counted`
 
@@ -108,7 +107,7 @@ def make_forces(described, index, ends, counted=()):
             [(*turn.fields(*ends[joint]), 0.0, 0.0, 0.0) for joint in [*counted, *servos]],
             dtype=torsional_spring_damper.ROW,
         ),
-        exist=len(described) > 0,
+        exist=any(force.type in KINDS for force in described),
     )
 
 
@@ -134,28 +133,19 @@ def count_of_angles(forces):
 
 
 @kernel
-def add_wrenches(forces, angle, acting, targets, pose, twist, wrench_out):
+def add_wrenches(forces, angle, targets, pose, twist, wrench_out):
     """Add the wrenches of all forces to wrench_out (n, 6).
 
     angle  : (k,) rad, the unwrapped angles after the last step
-    acting : (k,) mask of the applied wrenches that act
     targets : (k, 2) target position and velocity of each servo
     pose (n, 12), twist (n, 6)
     """
     if forces.exist:
-        _add_wrenches(
-            forces,
-            borrowed(angle),
-            borrowed(acting),
-            borrowed(targets),
-            borrowed(pose),
-            borrowed(twist),
-            borrowed(wrench_out),
-        )
+        _add_wrenches(forces, borrowed(angle), borrowed(targets), borrowed(pose), borrowed(twist), borrowed(wrench_out))
 
 
 @shared
-def _add_wrenches(forces, angle, acting, targets, pose, twist, wrench_out):
+def _add_wrenches(forces, angle, targets, pose, twist, wrench_out):
     spring_damper.add_wrench(forces.spring_damper, pose, twist, wrench_out)
     torsional_spring_damper.add_wrench(forces.torsional_spring_damper, angle, pose, twist, wrench_out)
     linear_spring_damper.add_wrench(forces.linear_spring_damper, pose, twist, wrench_out)
@@ -164,17 +154,16 @@ def _add_wrenches(forces, angle, acting, targets, pose, twist, wrench_out):
     servo.add_wrench(forces.servo, angle, targets, pose, twist, wrench_out)
     linear_servo.add_wrench(forces.linear_servo, targets, pose, twist, wrench_out)
     drag.add_wrench(forces.drag, twist, wrench_out)
-    applied_wrench.add_wrench(forces.applied_wrench, acting, pose, wrench_out)
     return 0
 
 
 @shared
-def add_changes(forces, angle, acting, targets, pose, twist, moves, rates, shifts, at, wrench_out):
+def add_changes(forces, angle, targets, pose, twist, moves, rates, shifts, at, wrench_out):
     """Add the derivatives of the wrenches along displacements, and changes of twists and targets: see changes.py.
 
     shifts : changes of the targets of all servos, from row `at` on
     """
-    angle, acting, targets = borrowed(angle), borrowed(acting), borrowed(targets)
+    angle, targets = borrowed(angle), borrowed(targets)
     pose, twist, moves, rates = borrowed(pose), borrowed(twist), borrowed(moves), borrowed(rates)
     shifts, wrench_out = borrowed(shifts), borrowed(wrench_out)
     spring_damper.add_change(forces.spring_damper, pose, twist, moves, rates, wrench_out)
@@ -185,7 +174,6 @@ def add_changes(forces, angle, acting, targets, pose, twist, moves, rates, shift
     servo.add_change(forces.servo, angle, targets, pose, twist, moves, rates, shifts, at, wrench_out)
     linear_servo.add_change(forces.linear_servo, targets, pose, twist, moves, rates, shifts, at, wrench_out)
     drag.add_change(forces.drag, twist, rates, wrench_out)
-    applied_wrench.add_change(forces.applied_wrench, acting, pose, moves, wrench_out)
     return 0
 
 
@@ -200,7 +188,7 @@ def energy(forces, angle, pose):
 
 
 @kernel
-def powers(forces, angle, acting, targets, pose, twist):
+def powers(forces, angle, targets, pose, twist):
     """Powers of the non-conservative forces by POWERS, W."""
     return (
         spring_damper.power(forces.spring_damper, pose, twist)
@@ -210,15 +198,14 @@ def powers(forces, angle, acting, targets, pose, twist):
         servo.power(forces.servo, angle, targets, pose, twist)
         + linear_servo.power(forces.linear_servo, targets, pose, twist),
         drag.power(forces.drag, twist),
-        applied_wrench.power(forces.applied_wrench, acting, pose, twist),
     )
 
 
 @kernel
-def power(forces, angle, acting, targets, pose, twist):
+def power(forces, angle, targets, pose, twist):
     """Power of the non-conservative forces, W: the rate of the mechanical energy."""
-    dampers, motors, servos, drags, wrenches = powers(forces, angle, acting, targets, pose, twist)
-    return dampers + motors + servos + drags + wrenches
+    dampers, motors, servos, drags = powers(forces, angle, targets, pose, twist)
+    return dampers + motors + servos + drags
 
 
 @kernel

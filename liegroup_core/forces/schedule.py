@@ -11,11 +11,14 @@ most one effort to a joint, by the same rules.
 Target position and velocity of a servo are a command with a start and an end as well. A later command replaces it;
 without a command the servo has the values of the scene. The motion of a driven joint is a command that holds until
 the next one. A new motion also replaces later waiting ones.
+
+Wrenches and prescribed motions of the scene are commands, too. They add to others or are replaced by them, but users
+do not see or clear them, and they act from the end of a step on, before the next one begins.
 """
 
 import bisect
 from functools import reduce
-from operator import add
+from operator import add, attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -34,7 +37,7 @@ class ScheduledCommand(NamedTuple):
 
     start: Instant
     end: Instant
-    number: int  # order of arrival; of two commands with the same start, the later one holds
+    number: int  # order of arrival, negative: of the scene; of two commands with the same start, the later one holds
     key: tuple  # a later command with the same key replaces this one
     parts: tuple  # ((axes, number of the body, servo or driven joint, values), ...)
     command: Command
@@ -49,9 +52,17 @@ class ScheduledCommand(NamedTuple):
         """{(number, axes)} of the totals on which it acts."""
         return {(number, axes) for axes, number, _ in self.parts}
 
+    @property
+    def of_scene(self):
+        """Whether it is a command of the scene."""
+        return self.number < 0
+
 
 def _by_start(entry):
     return entry.start, entry.number
+
+
+_start = attrgetter("start")
 
 
 class Schedule:
@@ -59,47 +70,63 @@ class Schedule:
 
     targets : (k, 2) target position and velocity of each servo without a command
     drives : number of driven joints
+    scene  : [(Instant, Instant, key, parts, Command)] starts and ends of commands of the scene
     total  : {axes: rows} sums of what acts: "body", "world" (n, 6), "levers" (n, 9), "servo" (k, 2), and "drive"
-             (d, 7), commanded motions or FROM_SCENE
+             (d, 7) motions
+    reached : last Instant of `update`
     """
 
-    def __init__(self, body_count, targets=np.zeros((0, 2)), drives=0):
+    def __init__(self, body_count, targets=np.zeros((0, 2)), drives=0, scene=()):
         self._idle = {BODY: np.zeros((body_count, 6)), IN_WORLD: np.zeros((body_count, 6))}
         self._idle |= {LEVERS: np.zeros((body_count, 9)), SERVO: targets, DRIVE: np.tile(FROM_SCENE, (drives, 1))}
-        self.clear_all()
+        scene = [
+            ScheduledCommand(start, end, k - len(scene), key, parts, command)
+            for k, (start, end, key, parts, command) in enumerate(scene)
+        ]
+        self._scene = sorted(scene, key=_by_start)
+        self.restart(BEFORE)
 
-    def clear_all(self):
-        """Discard all commands."""
+    def restart(self, instant):
+        """Discard all commands, and let those of the scene act that act from an Instant on."""
         self.total = {axes: idle.copy() for axes, idle in self._idle.items()}
-        self.waiting, self._acting = [], {}  # [ScheduledCommand] in the order of their starts; {key: ScheduledCommand}
-        self._arrived = 0
-        self._known_next = None
+        passed = bisect.bisect_right(self._scene, instant, key=_start)
+        self.waiting = self._scene[passed:]  # [ScheduledCommand] in the order of their starts
+        found = {entry.key: entry for entry in self._scene[:passed]}
+        self._acting = {key: entry for key, entry in found.items() if entry.end > instant}
+        for changed in {changed for entry in self._acting.values() for changed in entry.changes}:
+            self._add_up(*changed)
+        self._arrived, self._known, self.reached = 0, None, instant
 
     def held(self):
         """Copy of all entries and totals, for `give_back`."""
         total = {axes: rows.copy() for axes, rows in self.total.items()}
-        return total, list(self.waiting), dict(self._acting), self._arrived, self._known_next
+        return total, list(self.waiting), dict(self._acting), self._arrived, self._known, self.reached
 
     def give_back(self, held):
         """Return to what `held` gave."""
-        self.total, self.waiting, self._acting, self._arrived, self._known_next = held
+        self.total, self.waiting, self._acting, self._arrived, self._known, self.reached = held
 
     def __bool__(self):
         return bool(self.waiting or self._acting)
 
     def __len__(self):
-        """Number of commands that act or start later."""
-        return len(self.waiting) + len(self._acting)
+        """Number of commands that act or start later, without those of the scene."""
+        return sum(not entry.of_scene for entry in (*self.waiting, *self._acting.values()))
 
     @property
     def acting(self):
-        """[ScheduledCommand] of the commands that act, in an order that does not depend on that of their arrival."""
-        return [entry for _, entry in sorted(self._acting.items())]
+        """[ScheduledCommand] that act, in an order that does not depend on that of their arrival; not of the scene."""
+        return [entry for _, entry in sorted(self._acting.items()) if not entry.of_scene]
+
+    @property
+    def later(self):
+        """[ScheduledCommand] that start later, without those of the scene."""
+        return [entry for entry in self.waiting if not entry.of_scene]
 
     @property
     def sources(self):
         """Names of the sources with a command that acts or starts later."""
-        return {entry.command.source for entry in (*self.waiting, *self._acting.values())}
+        return {entry.command.source for entry in (*self.acting, *self.later)}
 
     @property
     def efforts(self):
@@ -115,21 +142,27 @@ class Schedule:
         """Add a command between two Instants; key, parts : see ScheduledCommand."""
         self._arrived += 1
         if command.kind == MOTION:
-            self.waiting = [entry for entry in self.waiting if entry.key != key or entry.start < start]
+            self._discard(key, start)
         entry = ScheduledCommand(start, end, self._arrived, key, parts, command)
         bisect.insort(self.waiting, entry, key=_by_start)
-        self._known_next = None
+        self._known = None
+
+    def _discard(self, key, start):
+        """Discard what waits with a key and starts at an Instant or later."""
+        self.waiting = [entry for entry in self.waiting if entry.key != key or entry.start < start]
 
     def resume(self, command, key, parts, end):
         """Add a command that acts already, until an Instant: `update` reports no change."""
         self._arrived += 1
+        if command.kind == MOTION:
+            self._discard(key, BEFORE)
         self._acting[key] = entry = ScheduledCommand(BEFORE, end, self._arrived, key, parts, command)
         for changed in entry.changes:
             self._add_up(*changed)
-        self._known_next = None
+        self._known = None
 
     def motion_at(self, drive, instant):
-        """Commanded motion (7,) of a driven joint at an Instant, or FROM_SCENE."""
+        """Motion (7,) of a driven joint at an Instant that is not before the last `update`."""
         found = self.total[DRIVE][drive]
         for entry in self.waiting:
             if entry.parts[0][:2] == (DRIVE, drive) and entry.start <= instant:
@@ -143,7 +176,8 @@ class Schedule:
         """
 
         def is_ended(entry):
-            return entry.command.source == source and entry.command.kind != MOTION and entry.end > instant
+            command = entry.command
+            return command.source == source and command.kind != MOTION and entry.end > instant and not entry.of_scene
 
         self.waiting = [
             entry._replace(end=instant) if is_ended(entry) else entry
@@ -153,26 +187,42 @@ class Schedule:
         for key, entry in self._acting.items():
             if is_ended(entry):
                 self._acting[key] = entry._replace(end=instant)
-        self._known_next = None
+        self._known = None
 
     @property
     def next(self):
         """Instant before which `update` changes nothing."""
-        if self._known_next is None:
-            ends = [BEFORE if entry.ends_at_once else entry.end for entry in self._acting.values()]
-            self._known_next = min([*ends, *(entry.start for entry in self.waiting[:1])], default=AFTER)
-        return self._known_next
+        return self._next_times[0]
+
+    @property
+    def next_of_scene(self):
+        """Instant before which `update` changes nothing of the scene."""
+        return self._next_times[1]
+
+    @property
+    def _next_times(self):
+        if self._known is None:
+            acting = self._acting.values()
+            ends = [BEFORE if entry.ends_at_once else entry.end for entry in acting]
+            later = next((entry.start for entry in self.waiting if entry.of_scene), AFTER)
+            self._known = (
+                min([*ends, *(entry.start for entry in self.waiting[:1])], default=AFTER),
+                min([later, *(entry.end for entry in acting if entry.of_scene)]),
+            )
+        return self._known
 
     def update(self, instant):
         """Set `total` to what acts from an Instant on. Returns the changed [(number, axes)]."""
+        self.reached = instant
         if instant < self.next:
             return []
-        self._known_next, touched = None, set()
-        while self.waiting and self.waiting[0].start <= instant:
-            entry = self.waiting.pop(0)
+        self._known, touched = None, set()
+        started = bisect.bisect_right(self.waiting, instant, key=_start)
+        for entry in self.waiting[:started]:
             before = self._acting.get(entry.key)
             touched |= entry.changes | (before.changes if before else set())
             self._acting[entry.key] = entry
+        del self.waiting[:started]
         for key, entry in list(self._acting.items()):
             if entry.end <= instant or entry.ends_at_once:
                 touched |= entry.changes

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from liegroup_core.engine import METHOD, Engine
 from liegroup_core.errors import SceneError, SimulationError
-from liegroup_core.forces.instants import AFTER
+from liegroup_core.forces.acting import Acting
 from liegroup_core.joints.motion import COLUMNS, at, row_at, uniform
 from liegroup_core.layout import make_layout
 from liegroup_core.linear.channels import InputChannels, OutputChannels
@@ -148,7 +148,7 @@ class Machine:
         inputs = InputChannels(self.probe, [each.name for each in log.inputs])
         self._wrenches, self._shifts = inputs.changes(0)
         self.efforts = inputs.efforts
-        self._targets = self.probe.targets.copy()
+        self._targets = self.probe.acting.targets.copy()
         for k, name in enumerate(inputs.names):  # a target replaces that of the scene
             if name.rpartition(".")[2] in ("target", "target_velocity"):
                 self._targets[self._shifts[k] != 0.0] = 0.0
@@ -283,8 +283,9 @@ class Machine:
         """Path at chosen times of a Segment, from a state; seen : their numbers. Others as of `run`."""
         self._go(self.timed(state, segment.start))
         self._go_between_stops()
-        engine, work, base, count = self.engine, self.engine._work, self.engine.inputs.external, len(segment.inputs)
-        wrenches = base + np.tensordot(segment.inputs, self._wrenches, 1)
+        engine, work, count = self.engine, self.engine._work, len(segment.inputs)
+        middles = SHIFT + segment.times[:-1] + 0.5 * np.diff(segment.times)
+        wrenches = self._of_scene(middles) + np.tensordot(segment.inputs, self._wrenches, 1)
         if extra is not None:
             wrenches += extra
         targets = self._targets + np.tensordot(segment.inputs, self._shifts, 1)
@@ -295,12 +296,9 @@ class Machine:
         path = Path(self, segment, seen, wrenches, targets)
         path.poses, path.twists = np.empty((k, n, 12)), np.empty((k, n, 6))
         path.modes, path.angles = np.empty((k, len(self.layout.switches), 5)), np.empty((k, len(work.angle)))
-        before = base.copy()
-        try:
-            status = self._along(segment, counts, places, path)
-        finally:
-            base[:] = before
+        status = self._along(segment, counts, places, path)
         engine.steps = segment.instants[-1].step
+        engine.inputs.clear(engine.base)
         if status == OK and not np.isfinite(path.poses).all():
             status = NOT_FINITE
         if status != OK:
@@ -308,15 +306,23 @@ class Machine:
             raise SimulationError(f"{reason(engine, status)}{hint}", status & 0xFF)
         return path
 
+    def _of_scene(self, times):
+        """External wrenches of the scene, (m, n, COLUMNS) at times (m,) in s, or (n, COLUMNS) if there are none."""
+        if not any(force.type == "applied_wrench" for force in self.layout.scene.forces):
+            return self.engine.inputs.acting.external
+        found = [self.layout.wrenches_at(time) for time in times.tolist()]
+        return np.reshape(found, (len(times), *self.engine.inputs.acting.external.shape))
+
     def _along(self, segment, counts, places, path):
         """Run through the parts of a Segment, compiled from one change of stops or friction to the next; a status."""
         engine, work, times = self.engine, self.engine._work, segment.times
         n, m, s, d = len(engine._pose), len(counts), len(work.targets), len(work.motions)
-        motions = self.layout.motions_along(SHIFT + times[:-1] + 0.5 * np.diff(times)).reshape(-1, COLUMNS)
+        late = self.layout.motions_along(SHIFT + times[:-1] + 0.5 * np.diff(times))
+        motions = late.reshape(-1, COLUMNS).copy()
         motions[:, 0] -= SHIFT  # compiled parts have the times of the log, which are more exact
         wrenches, targets = path.wrenches.reshape(m * n, path.wrenches.shape[2]), path.targets.reshape(-1, 2)
         kept = path.poses.reshape(-1, 12), path.twists.reshape(-1, 6), path.modes.reshape(-1, 5)
-        state = engine._pose, engine._twist, engine.inputs.external
+        state = engine._pose, engine._twist, engine.inputs.acting.external
         k = 0
         while k < m:
             last, status = self._last_alike(segment, k, path), EVENT
@@ -328,7 +334,7 @@ class Machine:
             if status == EVENT:
                 self._keep(segment, k, places[k], path)
                 size = float((times[k + 1] - times[k]) / counts[k])
-                state[2][:], work.targets[:] = path.wrenches[k], path.targets[k]
+                state[2][:], work.targets[:], work.motions[:] = path.wrenches[k], path.targets[k], late[k]
                 _, status = engine._integrate(segment.instants[k], size, int(counts[k]), segment.instants[k + 1])
                 k += 1
             if status != OK:
@@ -339,17 +345,12 @@ class Machine:
     def _last_alike(self, segment, k, path):
         """Number of the part up to which the compiled passage may go from part k on, at most; k: not at all."""
         engine, work, last = self.engine, self.engine._work, len(path.wrenches)
-        if len(work.acting):
-            engine.set_inputs_from(segment.instants[k])
-            changes = self.changes(segment.times[-1])
-            after = changes[changes > segment.times[k] + 0.5e-9]
-            if len(after):
-                last = int(np.searchsorted(segment.times, after[0] - 0.5e-9))
         switching = engine._switching
         if switching is None or switching.are_known and not switching.any_at_rest:
             return last
-        engine.inputs.external[:], work.targets[:] = path.wrenches[k], path.targets[k]
-        if len(work.motions) or not switching.is_settled(engine.inputs.external):
+        external = engine.inputs.acting.external
+        external[:], work.targets[:] = path.wrenches[k], path.targets[k]
+        if len(work.motions) or not switching.is_settled(external):
             return k
         return min(last, int(path.changes[np.searchsorted(path.changes, k, side="right")]))
 
@@ -361,7 +362,6 @@ class Machine:
         path.poses[place], path.twists[place] = engine.state()
         path.angles[place] = engine._work.angle
         if engine._switching is not None:
-            engine.set_inputs_from(segment.instants[k])
             path.modes[place] = engine._modes_now()
 
 
@@ -397,7 +397,6 @@ class Path:
         """Sample of state k, with the inputs of the part that ends there."""
         machine, place = self._machine, self._seen[k]
         engine, instant, part = machine.engine, self._segment.instants[place], max(place - 1, 0)
-        engine.set_inputs_from(instant)
         found = Sample(
             machine.layout,
             instant.time,
@@ -408,14 +407,11 @@ class Path:
             self.angles[k].copy(),
         )
         if len(self.wrenches):
-            found.external = self.wrenches[part]
+            motions = machine.layout.motions_at(instant.time)
+            found.acting = Acting(self.wrenches[part], self.targets[part], motions)
             found.joint_efforts = machine.efforts(self._segment.inputs[part])
-            if self.targets.shape[1]:
-                found.targets = self.targets[part]
         if engine._switching is not None:
             found.switching = self.modes[k]
-        if len(engine._work.motions):
-            found.motions = machine.layout.motions_at(instant.time, engine.inputs.commanded)
         return found
 
 
@@ -498,10 +494,8 @@ def law_of_driven(joint):
 
 def _changes(engine, end):
     """Times in s up to an end at which inputs of the scene change."""
-    found, instant = [], engine.instant_of(0)
-    while (instant := engine.change_after(instant)) is not AFTER and instant.time < end:
-        found.append(instant.time)
-    return np.array(found)
+    found = [time for start, over, _ in engine.layout.commands for time in (start, over)]
+    return np.unique([time for time in found if 0.0 < time < end])
 
 
 class Apart:

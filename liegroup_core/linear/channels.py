@@ -59,7 +59,7 @@ class InputChannels:
 
     def starting(self, rates):
         """(k,) changes of the inputs after which servos want given {joint: rate}, so that these do not saturate."""
-        u, targets = np.zeros(len(self)), self._probe.targets
+        u, targets = np.zeros(len(self)), self._probe.acting.targets
         for joint, rate in rates.items():
             if (name := f"{joint}.target_velocity") in self.names:
                 u[self.names.index(name)] = rate - targets[self._kinds["targets"][name]]
@@ -68,12 +68,11 @@ class InputChannels:
     def target(self, name):
         """Present value of a target; 0 of another input, which adds to what acts."""
         place = self._kinds["targets"].get(name)
-        return 0.0 if place is None else float(self._probe.targets[place])
+        return 0.0 if place is None else float(self._probe.acting.targets[place])
 
     def applied(self, u):
-        """(external, targets) of the Probe with changes u (k,) of the inputs."""
-        probe = self._probe
-        external, targets = probe.external.copy(), probe.targets.copy()
+        """Acting of the Probe with changes u (k,) of the inputs."""
+        external, targets, _ = acting = self._probe.acting.copy()
         for name, value in zip(self.names, u):
             if value == 0.0:
                 continue
@@ -86,7 +85,7 @@ class InputChannels:
             else:
                 body, column = self._kinds["wrenches"][name]
                 _add(external, body, value * np.eye(6)[column])
-        return external, targets
+        return acting
 
     def efforts(self, u):
         """{joint: commanded effort} as of a Sample, with changes u (k,) of the inputs."""
@@ -99,12 +98,12 @@ class InputChannels:
 
     def changes(self, first):
         """(first + k, n, COLUMNS), (first + k, s, 2) changes of external wrenches and targets, `first` of them zero."""
-        external, present = self._probe.external, self._probe.targets
-        wrenches, targets = (np.zeros((first + len(self), *each.shape)) for each in (external, present))
+        present = self._probe.acting[:2]
+        found = tuple(np.zeros((first + len(self), *each.shape)) for each in present)
         for k, row in enumerate(np.eye(len(self))):
-            found = self.applied(row)
-            wrenches[first + k], targets[first + k] = found[0] - external, found[1] - present
-        return wrenches, targets
+            for changes, applied, before in zip(found, self.applied(row), present):
+                changes[first + k] = applied - before
+        return found
 
 
 def _add(external, body, wrench):

@@ -87,7 +87,7 @@ class Resting:
     def bounds(self, efforts, applied):
         """(least, most) efforts (r,) that hold the joints, where efforts and inputs of the Probe act."""
         self.apply(efforts)
-        most = self._probe.largest_friction(*applied)[self.indices]
+        most = self._probe.largest_friction(applied)[self.indices]
         return np.where(self._sides > 0.0, -np.inf, -most), np.where(self._sides < 0.0, np.inf, most)
 
     def effects(self, accelerations, u):

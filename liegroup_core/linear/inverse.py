@@ -142,7 +142,7 @@ def _efforts(probe, coordinates, channels, wanted, lengths, pushing):
             modes = kept.copy()
             modes[at_stops, 0], modes[at_stops, 1], modes[at_stops, 4] = 2.0, 0.0, signs * f
             probe.modes = modes
-        return coordinates.signs * probe.slopes(None, *channels.applied(u))[0][rows] / lengths
+        return coordinates.signs * probe.slopes(None, channels.applied(u))[0][rows] / lengths
 
     x = np.zeros(len(channels) + len(at_stops))
     for _ in range(MOST_REPEATS):

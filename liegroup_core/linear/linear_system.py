@@ -238,9 +238,9 @@ def system_of(probe, inputs=None, outputs=None, independent=None, preferred=()):
 
     def seen(d, s):
         u = np.zeros(len(inputs)) if d < len(moves) else s * np.eye(len(inputs))[d - len(moves)]
-        applied = (None, None) if d < len(moves) else inputs.applied(u)
-        _, pose, twist = probe.slopes(s * directions[d], *applied)
-        sample = probe.sample(pose, twist, *applied)
+        applied = None if d < len(moves) else inputs.applied(u)
+        _, pose, twist = probe.slopes(s * directions[d], applied)
+        sample = probe.sample(pose, twist, applied)
         sample.joint_efforts = inputs.efforts(u)
         return outputs.of(sample)
 

@@ -142,6 +142,5 @@ def _derivatives(values):
 
 def _times(layout):
     """Times at which inputs of a scene change."""
-    wrenches = layout.model.forces.applied_wrench
-    motions = [rows[:, 0].tolist() for rows in layout.motions.values()]
-    return wrenches["start"].tolist(), wrenches["end"].tolist(), motions
+    wrenches = [(force.start, force.end) for force in layout.scene.forces if force.type == "applied_wrench"]
+    return wrenches, [rows[:, 0].tolist() for rows in layout.motions.values()]

@@ -167,8 +167,7 @@ class Probe:
     simulation : Simulation or Engine
     time       : s, of a state within the present step; None: the present state
     in_space   : True: the freedoms of a planar mechanism are those of its joints in space, whatever its numbers
-    external   : (n, COLUMNS) external wrenches, see forces/external.py
-    targets    : (k, 2) target positions and velocities of the servos
+    acting     : Acting
     base       : Sample of the state
     layout     : Layout of the simulation
     Raises SimulationError where the accelerations of the state cannot be computed.
@@ -195,12 +194,10 @@ class Probe:
         self._work.angle[:] = sample.angles
         self._work.known[0] = 0.0
 
-    def _take_inputs(self):
+    def _take_inputs(self, instant=None):
         engine = self._engine
-        instant = engine.instant_of(self.base.time_ns)
-        engine.inputs.update(instant)
-        engine.set_inputs_from(instant)
-        self.external, self.targets = engine.inputs.external.copy(), self._work.targets.copy()
+        engine.act_from(engine.instant_of(self.base.time_ns) if instant is None else instant)
+        self.acting = engine.inputs.acting.copy()
 
     def _meet(self, other):
         """Take the time, modes and angles of a Probe of a scene with other numbers."""
@@ -209,7 +206,7 @@ class Probe:
             self.modes = other.modes
         if self.base.time_ns != other.base.time_ns:
             self.base = other.base
-            if len(work.acting) or len(work.motions) or engine.inputs.schedule:
+            if engine.inputs.schedule:
                 self._take_inputs()
         work.angle[:] = other._work.angle
 
@@ -225,12 +222,7 @@ class Probe:
         )
         self.pose, self.twist = pose, twist
         self._work.known[0] = 0.0
-        base.external, base.targets, base.switching = (
-            self.external,
-            self.targets,
-            self.modes if self.layout.switches else None,
-        )
-        base.motions = self.layout.motions_at(time, self._engine.inputs.commanded)
+        base.acting, base.switching = self.acting, self.modes if self.layout.switches else None
 
     def has_structure_of(self, other):
         """Whether the model of another Probe differs in numbers only."""
@@ -238,7 +230,7 @@ class Probe:
 
     def go_to_time(self, time):
         """Set the time in s, at which wrenches of the scene and driven joints act."""
-        self._engine.set_inputs_from(self._engine._grid.instant(float(time)))
+        self._take_inputs(self._engine._grid.instant(float(time)))
 
     @property
     def held(self):
@@ -282,11 +274,11 @@ class Probe:
         set_rates(self._model, self._work, out)
         return self._model.switches["sign"] * out[:, 0]
 
-    def largest_friction(self, external=None, targets=None):
-        """(k,) largest friction at rest of the coordinates with stops or friction, N m or N, with inputs."""
+    def largest_friction(self, acting=None):
+        """(k,) largest friction at rest of the coordinates with stops or friction, N m or N, with an Acting."""
         table, most = self._model.switches, self._model.switches["static"].copy()
         if self._model.has_loads:
-            self.slopes(None, external, targets)
+            self.slopes(None, acting)
             most += table["static_by_load"] * self._work.loads[:, FOUND]
         return most
 
@@ -326,13 +318,13 @@ class Probe:
         self.pose, self.twist, self._work.angle[:] = kept
         self._work.known[0] = 0.0
 
-    def slopes(self, y=None, external=None, targets=None):
+    def slopes(self, y=None, acting=None):
         """(2 f,) psi' and w' at a neighbour y (f, 2), and poses and twists of the bodies, at the centres of mass.
 
-        external, targets : inputs, as the attributes, which are the defaults. Raises SimulationError
+        acting : Acting; None: that of the state. Raises SimulationError
         """
         out, pose, twist = np.empty((self.freedoms, 2)), self.pose.copy(), self.twist.copy()
-        self._call(_evaluate, y, external, targets, out, pose, twist)
+        self._call(_evaluate, y, acting, out, pose, twist)
         return out.T.ravel(), pose, twist
 
     def tangents(self, directions, sizes, external=None, targets=None):
@@ -345,16 +337,16 @@ class Probe:
         """
         model, work, count = self._model, self._work, len(directions)
         n, L, m, f = len(model.bodies), len(model.links), len(model.row_residual), self.freedoms
-        out, state = np.zeros((count, 2 * f + 1 + m)), (self.pose, self.twist, self.external)
-        external = np.zeros((count, *self.external.shape)) if external is None else external
-        targets = np.zeros((count, *self.targets.shape)) if targets is None else targets
+        out, state = np.zeros((count, 2 * f + 1 + m)), (self.pose, self.twist, self.acting.external)
+        external = np.zeros((count, *self.acting.external.shape)) if external is None else external
+        targets = np.zeros((count, *self.acting.targets.shape)) if targets is None else targets
         moves = np.ascontiguousarray(np.swapaxes(directions, 1, 2), dtype=float).reshape(2 * count * f, 1)
-        work.targets[:] = self.targets
+        work.targets[:] = self.acting.targets
         status = tangents(
             model,
             work,
             moves,
-            external.reshape(count * n, self.external.shape[1]),
+            external.reshape(count * n, external.shape[2]),
             targets.reshape(-1, 2),
             np.ascontiguousarray(sizes, dtype=float),
             state,
@@ -381,9 +373,12 @@ class Probe:
         errors = (uncertain + ROUND_OFF)[:, None] * np.abs(found).max(axis=1, initial=0.0)[:, None] + 0.0 * found
 
         def slopes(d, s):
-            more, shift = (None if each is None else s * each[d] for each in (external, targets))
-            given = None if more is None else self.external + more, None if shift is None else self.targets + shift
-            return self.slopes(s * directions[d], *given)[0]
+            given = self.acting
+            if external is not None:
+                given = given._replace(
+                    external=given.external + s * external[d], targets=given.targets + s * targets[d]
+                )
+            return self.slopes(s * directions[d], given)[0]
 
         for d in np.flatnonzero(uncertain == NOT_SMOOTH):
             found[d], errors[d] = derivative(lambda s, d=d: slopes(d, s), sizes[d])
@@ -392,20 +387,20 @@ class Probe:
     def closed(self, y=None):
         """(f,) rates of a neighbour that is projected onto the cut joints, and poses and twists of the bodies."""
         rates, pose, twist = np.empty(self.freedoms), self.pose.copy(), self.twist.copy()
-        self._call(_close, y, None, None, rates, pose, twist)
+        self._call(_close, y, None, rates, pose, twist)
         return rates, pose, twist
 
     def gaps(self, y=None):
         """(m,) position residuals of all rows of cut joints at a neighbour, rad and m."""
         gaps = np.empty(len(self._model.row_residual))
-        self._call(_gaps, y, None, None, gaps)
+        self._call(_gaps, y, None, gaps)
         return gaps
 
     def equations(self, other):
         """(f + 2 m,) w', position residuals and J V at the coordinates of another Probe, which was evaluated."""
         self._meet(other)
         out = np.empty(self.freedoms + 2 * len(self._model.row_residual))
-        given = other._work.pose, other._work.twist, self.external, self.pose, self.twist, out
+        given = other._work.pose, other._work.twist, self.acting.external, self.pose, self.twist, out
         self._done(self._equations(self._model, self._work, *given), out)
         return out
 
@@ -414,12 +409,11 @@ class Probe:
         """(m,) whether a row is that of a stop or of friction."""
         return self._model.switched != 0
 
-    def _call(self, kernel, y, external, targets, *out):
-        work = self._work
-        work.targets[:] = self.targets if targets is None else targets
+    def _call(self, kernel, y, acting, *out):
+        work, acting = self._work, self.acting if acting is None else acting
+        work.targets[:] = acting.targets
         y = self._zeros if y is None else np.ascontiguousarray(y, dtype=float)
-        external = self.external if external is None else external
-        self._done(kernel(self._model, work, self._scheme, y, self.pose, self.twist, external, *out), *out)
+        self._done(kernel(self._model, work, self._scheme, y, self.pose, self.twist, acting.external, *out), *out)
 
     def _done(self, status, *out):
         if status != OK or not all(math.isfinite(array.sum()) for array in out):
@@ -429,17 +423,11 @@ class Probe:
         """Sample of a neighbour y (f, 2); None: of the state."""
         return self.sample(*self.slopes(y)[1:])
 
-    def sample(self, pose, twist, external=None, targets=None):
-        """Sample of a neighbour with its inputs; poses and twists as from `slopes`."""
+    def sample(self, pose, twist, acting=None):
+        """Sample of a neighbour with its Acting; poses and twists as from `slopes`."""
         base = self.base
         found = Sample(self.layout, base.time, base.time_ns, base.steps, pose, twist, self._work.angle.copy())
-        for name in ("external", "joint_efforts", "targets", "motions"):
-            if name in vars(base):
-                setattr(found, name, getattr(base, name))
-        if external is not None:
-            found.external = external
-        if targets is not None:
-            found.targets = targets
+        found.acting, found.joint_efforts = base.acting if acting is None else acting, base.joint_efforts
         if base.switching is not None:
             found.switching = self.modes
         return found

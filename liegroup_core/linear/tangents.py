@@ -349,7 +349,7 @@ def _change_wrenches(model, work, external, more, targets, d, links, moves, rate
     set_changes(external, more, d * n, pose, moves, work.wrench)
     if forces.exist:
         at = d * len(work.targets)
-        add_changes(forces, work.angle, work.acting, work.targets, pose, twist, moves, rates, targets, at, work.wrench)
+        add_changes(forces, work.angle, work.targets, pose, twist, moves, rates, targets, at, work.wrench)
     for i in range(n):
         b = model.bodies[i]["link"]
         if b != WORLD:

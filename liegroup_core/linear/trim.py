@@ -210,7 +210,7 @@ def _influences(across, moved):
 
 
 def _accelerations(probe, coordinates, inputs, u, y=None):
-    slopes, _, _ = probe.slopes(y, *inputs.applied(u))
+    slopes, _, _ = probe.slopes(y, inputs.applied(u))
     return slopes[probe.freedoms + coordinates.moving]
 
 
@@ -221,12 +221,12 @@ def _derivatives(probe, coordinates, inputs, u):
     for k in range(m):
         directions[k] = coordinates.neighbour(k, 1.0)
     sizes = np.array([*map(coordinates.size, range(m)), *inputs.sizes])
-    changes, present = inputs.changes(m), (probe.external, probe.targets)
-    probe.external, probe.targets = inputs.applied(u)
+    changes, present = inputs.changes(m), probe.acting
+    probe.acting = inputs.applied(u)
     try:
         found = probe.derivatives(directions, sizes, *changes)[0][:, probe.freedoms + coordinates.moving].T
     finally:
-        probe.external, probe.targets = present
+        probe.acting = present
     return found[:, :m], found[:, m:]
 
 
@@ -257,9 +257,9 @@ def _trim(probe, preferred, inputs, u, loose):
     resting.settle(efforts)
     targets = [inputs.target(name) for name in inputs.names]
     coordinates = Coordinates(probe, preferred=preferred)
-    probe.external, probe.targets = inputs.applied(u)
+    probe.acting = inputs.applied(u)
     _, pose, twist = probe.slopes()
-    sample = probe.sample(pose, twist, probe.external, probe.targets)
+    sample = probe.sample(pose, twist, probe.acting)
     probe.base = sample
     system = system_of(probe, inputs.names or None)
     return Trim(

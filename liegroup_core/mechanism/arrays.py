@@ -226,7 +226,6 @@ class RelativeWork(Struct):
 
     space: Work
     angle: np.ndarray  # the fields from here to `report` are those of `space`
-    acting: np.ndarray
     targets: np.ndarray
     motions: np.ndarray
     clock: CallTimes
@@ -259,7 +258,6 @@ class RelativeWork(Struct):
     start_coordinates: np.ndarray = shaped("switches")  # of the caller's state
     lead_external: np.ndarray = shaped("bodies", EXTERNAL_COLUMNS)
     lead_targets: np.ndarray
-    lead_acting: np.ndarray
     lead_motions: np.ndarray
     external: np.ndarray = shaped("bodies", EXTERNAL_COLUMNS)  # see forces/external.py: external wrenches of the call
     pushed: np.ndarray = shaped(1)  # positive if any of them is not zero
@@ -330,11 +328,11 @@ def make_relative_work(model, work, stages):
         drift=2 if in_plane else 6,
         inertia=6 if in_plane else 21,
     )
-    shared = ("angle", "acting", "targets", "motions", "clock", "start_angle", "report")
+    shared = ("angle", "targets", "motions", "clock", "start_angle", "report")
     given = {name: getattr(work, name) for name in shared}
     rows = {"child_jacobian": model.child_jacobian.copy(), "factors": model.coupling_terms["factor"].copy()}
     rows |= {name: np.zeros_like(work.angle) for name in ("lead_angle", "kept_angle")}
-    rows |= {f"lead_{name}": np.zeros_like(getattr(work, name)) for name in ("targets", "acting", "motions")}
+    rows |= {f"lead_{name}": np.zeros_like(getattr(work, name)) for name in ("targets", "motions")}
     return RelativeWork.zeros(sizes, space=work, **rows, **given)
 
 

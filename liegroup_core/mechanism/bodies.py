@@ -59,7 +59,6 @@ class Work(Struct):
     wrench: np.ndarray             # (n, 6) sum of the applied wrenches
     angle: np.ndarray              # rad, of each torsional spring at the last finished step: state
     start_angle: np.ndarray        # the same at the start of a step that is taken in substeps
-    acting: np.ndarray             # bool, of each applied wrench of the scene: input of a call
     targets: np.ndarray            # (k, 2) position and velocity of each servo: input of a call
     motions: np.ndarray            # (d, 7) motion of each driven joint: input of a call
     clock: CallTimes
@@ -75,7 +74,6 @@ def make_work(model, stages):
     springs = count_of_angles(model.forces)
     return Work(
         wrench=np.zeros((n, 6)), angle=np.zeros(springs), start_angle=np.zeros(springs),
-        acting=np.zeros(len(model.forces.applied_wrench), dtype=bool),
         targets=target_values(model.forces), motions=model.motions.copy(), clock=CallTimes.make(),
         stage_pose=np.zeros((n, 12)), stage_twist=np.zeros((n, 6)),
         slopes=np.zeros(((stages + 1) * n, 12)), report=np.zeros(6))

@@ -34,6 +34,8 @@ import numpy as np
 import scipy
 
 from liegroup_core.forces import gravity, kinds
+from liegroup_core.forces.applied_wrench import wrenches_of
+from liegroup_core.forces.external import set_external_wrenches
 from liegroup_core.joints.cable import CableJoint
 from liegroup_core.joints.distance import DistanceJoint
 from liegroup_core.joints.elements import PAIR
@@ -90,7 +92,7 @@ def conserved_momentum(scene):
     rng = np.random.default_rng(6)
     size = _size(scene, frames)
     drawn = [_generic_pose(scene, frames, forbidden, size, rng) for _ in range(POSES)]
-    wrenches = np.array([_outer_wrenches(model, pose, rng) for pose in drawn])  # (POSES, n, 6)
+    wrenches = np.array([_outer_wrenches(scene, model, pose, rng) for pose in drawn])  # (POSES, n, 6)
     kept = []
     for group in body_groups(scene):
         acting = _without_round_off(wrenches[:, group])
@@ -176,15 +178,16 @@ def _reaction_point(reactions):
     return np.linalg.lstsq(system, np.concatenate(torque[pure][:3]), rcond=None)[0]
 
 
-def _outer_wrenches(model, pose, rng):
+def _outer_wrenches(scene, model, pose, rng):
     """Wrenches (n, 6) of gravity and all forces at a pose with random twists; world origin."""
     wrench = np.zeros((len(pose), 6))
+    index = {body.name: i for i, body in enumerate(scene.bodies)}
+    set_external_wrenches(wrenches_of(scene.forces, index, Offsets(scene)), pose, wrench)
     gravity.add_wrench(model, pose, wrench)
     forces = model.forces
     kinds.add_wrenches(
         forces,
         rng.normal(size=kinds.count_of_angles(forces)),
-        np.ones(len(forces.applied_wrench), dtype=bool),
         kinds.target_values(forces),
         pose,
         rng.normal(size=(len(pose), 6)),

@@ -78,7 +78,7 @@ class Reactions:
         self.idle = no_wrenches(layout.offsets)
         self._copy_modes = SameTypes(copy_modes)
         self._work = work = make_relative_work(self._model, make_work(layout.model, 0), 0)
-        inputs = (work.angle, work.acting, work.targets, work.motions, self._model.switches)
+        inputs = (work.angle, work.targets, work.motions, self._model.switches)
         self.has_inputs = any(map(len, inputs))
         self._scene = scene = layout.centred
         couplings = rigid_couplings(scene)
@@ -163,25 +163,22 @@ class Reactions:
                 found[self.names[j]] = f"{parts}: redundant constraints, {shared}"
         return found
 
-    def at(self, pose, twist, external=None, inputs=None, table=None):
+    def at(self, pose, twist, angles, acting, modes, time, table=None):
         """Return (wrenches and motion (J + n, 6), mask of undetermined components (J, 6), efforts (d,)).
 
         pose, twist : (n, 12), (n, 6) of frames at the centres of mass
-        external    : (n, COLUMNS), see forces/external.py; None: no external wrenches
-        inputs      : (angles, acting, targets, motions, modes, time) or None:
-                      angles (k,) rad, `Sample.angles`; acting, mask of the scene's applied wrenches;
-                      targets (k, 2) targets of the servos; motions (d, 7) of the driven joints; modes
-                      (k, 5) of the joints with stops or friction, None: unchanged; time in s
+        angles      : (k,) rad, `Sample.angles`
+        acting      : Acting
+        modes       : (k, 5) of the joints with stops or friction; None: unchanged
+        time        : s
         table       : ReactionTable with the components to set to NaN; None: the undetermined ones
         wrenches, motion : see `joint_wrenches`;  efforts : of the driven joints, N m or N
         Raises SimulationError if the accelerations cannot be computed.
         """
         work, out = self._work, self.empty()
-        if inputs is not None:
-            self.take(*inputs)
-        external = self.idle if external is None else external
+        self.take(angles, acting, modes, time)
         table = self._table if table is None else table
-        found = self._joint_wrenches(self._model, work, table, pose, twist, external, out)
+        found = self._joint_wrenches(self._model, work, table, pose, twist, acting.external, out)
         if found >= 0:
             raise SimulationError("the reactions cannot be computed: constraint rows are dependent")
         efforts = -work.multipliers[self._drive_rows] if len(self._drive_rows) else NO_EFFORTS
@@ -195,17 +192,12 @@ class Reactions:
             out[: len(mask)][mask] = np.nan
         return out, mask, efforts
 
-    def take(self, angles, acting, targets, motions, modes, time):
+    def take(self, angles, acting, modes, time):
         """Set the inputs of a state, see `at`."""
         work = self._work
-        if len(angles):
-            work.angle[:] = angles
-        if len(acting):
-            work.acting[:] = acting
-        if len(targets):
-            work.targets[:] = targets
-        if len(motions):
-            work.motions[:], work.clock.now[0] = motions, time
+        work.angle[:] = angles
+        work.targets[:] = acting.targets
+        work.motions[:], work.clock.now[0] = acting.motions, time
         if modes is not None and len(modes):
             set_modes(self._model, work, modes)
 
@@ -231,11 +223,10 @@ class Reactions:
             raise SimulationError("the impulses cannot be computed: constraint rows are dependent")
         return out[: len(self.names)]
 
-    def powers(self, pose, twist, external, inputs):
+    def powers(self, pose, twist, angles, acting, modes, times):
         """Powers of the joints on the bodies: of the drives, and of stops and friction; (k, 2) W in k states.
 
-        pose (k, n, 12), twist (k, n, 6), external : see `at`
-        inputs : k of its inputs; motions are those of the scene or commanded
+        pose (k, n, 12), twist (k, n, 6), angles (k, t), times (k,); others as of `at`
 
         Redundant constraints leave single wrenches undetermined, but not the sum of their powers. The power that
         accelerates rotors is left out: their energy is kinetic energy.
@@ -243,10 +234,10 @@ class Reactions:
         turning = np.flatnonzero(self._model.links["rotor"])
         rotors = self._model.links[turning]
         wrenches, out = np.empty((len(pose), len(self.names), 6)), np.zeros((len(pose), 2))
-        for k, given in enumerate(inputs):
-            found, _, efforts = self.at(pose[k], twist[k], external, given, self._open_table)
+        for k, time in enumerate(times):
+            found, _, efforts = self.at(pose[k], twist[k], angles[k], acting, modes, time, self._open_table)
             wrenches[k] = found[: len(self.names)]
-            rates = [motion.at(row, given[-1])[1] for row in given[3]]
+            rates = [motion.at(row, time)[1] for row in acting.motions]
             out[k, 0] = efforts @ rates if len(efforts) else 0.0
             own = self._work.stage_twist[len(self._bodies) + turning, 0]
             out[k, 1] = (rotors["rotor"] * own * self._work.acceleration[rotors["freedom"], 0]).sum()

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from liegroup_core.dynamics.constraints import position_residuals
 from liegroup_core.forces import kinds
+from liegroup_core.forces.external import power as power_of
 from liegroup_core.forces.external import set_external_wrenches
-from liegroup_core.forces.timetable import acting_at, just_after
+from liegroup_core.forces.instants import just_after
 from liegroup_core.joints import motion
 from liegroup_core.joints.kinds import TYPES
 from liegroup_core.lie.groups import cross, within_a_turn
@@ -21,7 +22,6 @@ from liegroup_core.observables import invariants
 from .along import quaternions, rows
 
 PULLS = 1e-9  # of the weight, or at 1 m/s^2: a force that pulls more is not round-off
-NONE_ACT = np.zeros(0, dtype=bool)
 
 
 class Sample:
@@ -33,11 +33,8 @@ class Sample:
     twist : (n, 6) per body omega rad/s, v m/s; body axes, v of the frame's origin
     errors : (n, 4) estimated errors, see `error`; None without an estimate
     bound : (m, rad) largest pose errors that an accuracy allows at this time; None with a method
-    external : (n, COLUMNS) external wrenches, see forces/external.py; None: no wrenches
+    acting : Acting, at the end of the last step; by default what acts by the scene from this time on
     joint_efforts : {joint: N m or N} commanded efforts that acted at the end of the last step
-    targets : (k, 2) target positions and velocities of the servos, rad and rad/s, or m and m/s;
-              None: those of the scene
-    motions : (d, 7) prescribed motions of the driven joints; None: those of the scene
     switching : (k, 5) modes of the joints with stops or friction, in the order of the scene: 1 if held, 2 if
                 it rests because other joints are held; direction of slip; touched stop (-1 lower, 1 upper);
                 coordinate; effort in case of 2. None: all free
@@ -47,10 +44,7 @@ class Sample:
 
     errors = None
     bound = None
-    external = None
     joint_efforts: Mapping[str, float] = MappingProxyType({})
-    targets = None
-    motions = None
     switching = None
 
     def __init__(self, layout, time, time_ns, steps, pose, twist, near):
@@ -157,27 +151,21 @@ class Sample:
         forces = self._layout.model.forces
         rates = self.prescribed
         driving = sum(effort * rates[joint][1] for joint, effort in self.drive_efforts.items())
-        return driving + kinds.power(forces, self.angles, self._acting, self._targets, *self._state)
+        driving += kinds.power(forces, self.angles, self.acting.targets, *self._state)
+        return driving + power_of(self._layout.wrenches_at(just_after(self.time)), *self._state)
 
-    @property
-    def _acting(self):
-        """Mask of the scene's applied wrenches that act, including those that start at this time."""
-        rows = self._layout.model.forces.applied_wrench
-        if not len(rows):
-            return NONE_ACT
-        return acting_at(rows, just_after(self.time))
+    @cached_property
+    def acting(self):
+        return self._layout.acting_at(just_after(self.time))
 
     @property
     def _inputs(self):
-        """Inputs of the reactions other than state and external wrenches; see Reactions.at."""
-        if not self._layout.reactions.has_inputs:
-            return None
-        given = self.angles, self._acting, self._targets, self._motions, self._switching
-        return *given, self.time
+        """Arguments of Reactions.at."""
+        return *self._state, self.angles, self.acting, self._switching, self.time
 
     @cached_property
     def _reactions(self):
-        return self._layout.reactions.at(*self._state, self.external, self._inputs)
+        return self._layout.reactions.at(*self._inputs)
 
     @property
     def _switching(self):
@@ -196,13 +184,6 @@ class Sample:
             name: "lower" if side < 0.0 else "upper" if side > 0.0 else "stick" if held else "free"
             for name, (held, _, side, *_) in zip(names, self._switching.tolist())
         }
-
-    @cached_property
-    def _motions(self):
-        """(d, 7) prescribed motions of the driven joints."""
-        if self.motions is not None:
-            return self.motions
-        return self._layout.motions_at(just_after(self.time))
 
     def _by_joint(self, values):
         return dict(zip(self._layout.reactions.names, values))
@@ -286,11 +267,11 @@ class Sample:
     def external_wrenches(self) -> NDArray[np.float64]:
         """(n, 6) sum of the applied wrenches on each body: N m, N; body axes, about the origin of its frame.
 
-        Those of `apply_wrench` and `apply_effort`, at the end of the last step.
+        Those of `apply_wrench` and `apply_effort`, at the end of the last step, and of the scene.
         """
-        pose, found = self._state[0], np.zeros((len(self._state[0]), 6))
-        if self.external is not None:
-            set_external_wrenches(self.external, pose, found)
+        external, found = self.acting.external, np.zeros((len(self.pose), 6))
+        if external[:, :6].any() or external[:, 15].any():
+            set_external_wrenches(external, self._state[0], found)
             found[:, :3] += cross(self._layout.offsets.com, found[:, 3:])
         return found
 
@@ -356,17 +337,12 @@ class Sample:
 
         For the norm, torques are divided by the characteristic length of the closed loop.
         """
-        given = *self._state, self.external, self._inputs
-        return self._by_joint(self._layout.reactions.minimum_norm(*given))
+        return self._by_joint(self._layout.reactions.minimum_norm(*self._inputs))
 
     @cached_property
     def undetermined(self) -> dict[str, str]:
         """{joint: reason why components of its reaction are undetermined}, only joints that have some."""
         return self._layout.reactions.reasons(self._reactions[1])
-
-    @property
-    def _targets(self):
-        return self._layout.targets if self.targets is None else self.targets
 
     @cached_property
     def _servo_efforts(self):
@@ -374,7 +350,7 @@ class Sample:
         out = np.zeros((len(self._layout.servos), 2))
         if len(out):
             forces = self._layout.model.forces
-            kinds.servo_efforts(forces, self.angles, self._targets, *self._state, out)
+            kinds.servo_efforts(forces, self.angles, self.acting.targets, *self._state, out)
         return out
 
     @cached_property
@@ -412,7 +388,7 @@ class Sample:
     @property
     def prescribed(self) -> dict[str, tuple[float, float, float]]:
         """{driven joint: prescribed position, velocity, acceleration}, rad or m, and per s and s^2."""
-        return {joint: motion.at(row, self.time) for joint, row in zip(self._layout.motions, self._motions)}
+        return {joint: motion.at(row, self.time) for joint, row in zip(self._layout.motions, self.acting.motions)}
 
     @cached_property
     def drive_efforts(self) -> dict[str, float]:

@@ -13,14 +13,14 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from liegroup_core.forces import kinds
-from liegroup_core.forces.external import set_external_wrenches
+from liegroup_core.forces.external import power
 from liegroup_core.observables.along import STORES, powers
 from liegroup_sim_ros.messages.joint_modes import ENERGY
 
-from .acting import Acting
+from .acting import ActingInputs
 
-WORKS = (*kinds.POWERS, "driven joints", "stops and friction", "impacts")
-WRENCHES, DRIVES, IMPACTS = kinds.POWERS.index("wrenches"), len(kinds.POWERS), len(WORKS) - 1
+WORKS = (*kinds.POWERS, "wrenches", "driven joints", "stops and friction", "impacts")
+WRENCHES, DRIVES, IMPACTS = len(kinds.POWERS), len(kinds.POWERS) + 1, len(WORKS) - 1
 MOST_POINTS = 2000  # of a curve
 DEGREE = 5
 AT_CHANGE = 1e-9  # s: stamps are rounded to ns
@@ -31,7 +31,7 @@ class Balance:
 
     def __init__(self, layout, recording, expected):
         self._layout, self._step = layout, recording.settings["step"]
-        self._acting = Acting(layout, self._step)
+        self._acting = ActingInputs(layout, self._step)
         self._has_forces = any(not force.is_conservative for force in layout.scene.forces)
         self._has_joints = bool(layout.motions or layout.switches)
         self._every = -(-expected // MOST_POINTS)
@@ -94,18 +94,14 @@ class Balance:
 
     def _powers(self, time, times, pose, twist, angles):
         """(k, w - 1) W at k states, with the inputs at a time in s since step 0."""
-        layout, given = self._layout, self._acting.at(self._stretch, time)
+        layout, (acting, _, modes) = self._layout, self._acting.at(self._stretch, time)
         out = np.zeros((len(times), IMPACTS))
         if self._has_forces:
-            out[:, :DRIVES] = powers(layout, angles, given.acting, given.targets, pose, twist)
-        if len(self._stretch.inputs):
-            wrench = np.empty(twist.shape[1:])
-            for k, state in enumerate(pose):
-                set_external_wrenches(given.external, state, wrench)
-                out[k, WRENCHES] += np.vdot(wrench, twist[k])
+            out[:, :WRENCHES] = powers(layout, angles, acting.targets, pose, twist)
+        if acting.external[:, :6].any() or acting.external[:, 15].any():
+            out[:, WRENCHES] = [power(acting.external, *state) for state in zip(pose, twist)]
         if self._has_joints:
-            inputs = [(angle, *given[2:], at) for angle, at in zip(angles, times.tolist())]
-            found = layout.reactions.powers(pose, twist, given.external, inputs)
+            found = layout.reactions.powers(pose, twist, angles, acting, modes, times.tolist())
             out[:, DRIVES:IMPACTS] = found if layout.switches else found * (1.0, 0.0)  # no round-off as work
         return out
 

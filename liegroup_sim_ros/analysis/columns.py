@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from .acting import Acting, sample_of
+from .acting import ActingInputs, sample_of
 
 MOST_NUMBERS, LEAST_TIMES, MOST_TIMES = 48_000, 200, 1000  # of all curves; of one
 
@@ -17,7 +17,7 @@ def columns_along(layout, motion, names, most=None):
     columns, stretches = layout.catalogue.columns(names), motion.stretches
     most = most or min(MOST_TIMES, max(LEAST_TIMES, MOST_NUMBERS // max(1, len(columns))))
     every = max(1, -(-sum(len(stretch.steps) for stretch in stretches) // most))
-    acting, times, values = Acting(layout, stretches[0].step), [], []
+    acting, times, values = ActingInputs(layout, stretches[0].step), [], []
     for stretch in stretches:
         states = _States(layout, stretch, slice(None, None, every), acting)
         times += [stretch.log_times[::every], [np.nan]]

@@ -148,7 +148,7 @@ class LogFile:
         self.count, self.last_step = 0, -1
         self._simulation, self._told = simulation, set()  # events that are recorded once
         self._stamp = simulation.time_ns  # of the last sample
-        self._values = simulation.inputs.targets_by_joint | simulation.inputs.motions
+        self._values = simulation.inputs.targets_by_joint | simulation.inputs.motions_by_joint
         simulation.drain_applied()  # what was commanded before is in the initial state
         try:
             on_request = sample_messages.reactions(simulation.layout, WORLD_FRAME) if reactions else []

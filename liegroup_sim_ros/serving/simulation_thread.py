@@ -413,7 +413,7 @@ class SimulationServer(SimulationCommands, threading.Thread):
         inputs = self._simulation.inputs
         self._simulation.drain_applied()  # it is part of the state
         self._output.all_inputs(self._base_ns, inputs.commands)
-        targets, motions = inputs.targets_by_joint, inputs.motions
+        targets, motions = inputs.targets_by_joint, inputs.motions_by_joint
         if targets:
             self._output.servo_targets(self.stamp_ns, targets)
         if motions or self._output.motions:

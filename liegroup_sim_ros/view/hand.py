@@ -182,10 +182,10 @@ class Hand:
         motions = []
         for local in (np.zeros(3), *(free * turn)):
             still = layout.sample(sample.pose, sample.twist, sample.time, near=sample.angles)
-            still.targets, still.motions, still.switching = sample.targets, sample.motions, sample.switching
-            still.external = no_wrenches(layout.offsets)
+            external = no_wrenches(layout.offsets)
+            still.acting, still.switching = sample.acting._replace(external=external), sample.switching
             wrench = [*np.cross(grip.point, local), *local] if grip.axis is None else [*local, 0.0, 0.0, 0.0]
-            set_wrench(still.external, grip.body, tuple(map(float, wrench)), "body")
+            set_wrench(external, grip.body, tuple(map(float, wrench)), "body")
             found = still.accelerations[layout.body_names[grip.body]]
             motions.append(turn @ (found[3:] + np.cross(found[:3], grip.point) if grip.axis is None else found[:3]))
         response = np.array(motions[1:]) - motions[0]

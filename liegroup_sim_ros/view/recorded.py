@@ -7,7 +7,7 @@ import numpy as np
 
 from liegroup_core.layout import make_layout
 from liegroup_core.scene.load import scene_from_text
-from liegroup_sim_ros.analysis.acting import Acting, AlongStretches, sample_of
+from liegroup_sim_ros.analysis.acting import ActingInputs, AlongStretches, sample_of
 from liegroup_sim_ros.analysis.promise import allowed
 from liegroup_sim_ros.analysis.reference import ReferenceError
 from liegroup_sim_ros.playback.branch import Branches
@@ -34,7 +34,7 @@ class Recorded(Source):
         for _ in motion.blocks(lambda block: along.of(block)[3]):
             pass
         self._owners, promise = {}, recording.settings.get("promise")
-        self._acting = Acting(self.layout, recording.settings["step"])
+        self._acting = ActingInputs(self.layout, recording.settings["step"])
         if not motion.stretches:
             raise ViewError(f"{path}: {recording.problem or 'it has no samples'}")
         for stretch in motion.stretches:
@@ -54,7 +54,7 @@ class Recorded(Source):
 
     def dressed(self, frame):
         """The ViewFrame with the wrenches and efforts that act."""
-        if frame.sample.external is None:
+        if "acting" not in vars(frame.sample):
             self._acting.complete(frame.sample, self._owners[frame.time])
         return frame
 

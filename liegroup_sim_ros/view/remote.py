@@ -11,10 +11,11 @@ from scipy.spatial.transform import Rotation
 
 from liegroup_core import Simulation
 from liegroup_core.errors import SceneError
-from liegroup_core.forces.commands import EFFORT, WRENCH, Commands
-from liegroup_core.forces.instants import StepGrid
-from liegroup_core.forces.timetable import just_after
+from liegroup_core.forces.acting import Acting
+from liegroup_core.forces.commands import EFFORT, WRENCH
+from liegroup_core.forces.instants import StepGrid, just_after
 from liegroup_core.inputs import Inputs
+from liegroup_core.joints.motion import FROM_SCENE
 from liegroup_core.layout import make_layout
 from liegroup_core.scene.load import scene_from_text
 from liegroup_sim_ros.messages import arrays, estimates, inputs, joint_modes, topics
@@ -120,8 +121,9 @@ class Remote(Source):
         self._pose = np.tile(np.array([1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0, 0, 0, 0]), (len(names), 1))
         self._twist, self._stamps = np.zeros((len(names), 6)), [[-1, -1] for _ in names]
         self._targets = layout.targets.copy()
-        self._inputs = Inputs(layout, StepGrid(GRID), layout.targets.copy(), None)
-        self._commands, self._acting, self._base_ns = {}, (), 0
+        self._grid = StepGrid(GRID)
+        self._inputs = Inputs(layout, self._grid, layout.targets.copy(), layout.motions_at(0.0))
+        self._commands, self._base_ns = {}, 0
         self._services, self._parameters, self._publishers = {}, None, {}
         known = dict(self._node.get_topic_names_and_types())
         if topics.POSES.resolved(self._name) in known:
@@ -131,7 +133,7 @@ class Remote(Source):
             for i, body in enumerate(names):
                 self._subscribe(topics.pose(body), lambda payload, i=i: self._take_pose(payload, i))
                 self._subscribe(topics.twist(body), lambda payload, i=i: self._take_twist(payload, i))
-        self._modes, self._motions = layout.no_modes, self._inputs.commanded.copy()
+        self._modes, self._motions = layout.no_modes, np.tile(FROM_SCENE, (len(layout.motions), 1))
         if layout.servos:
             self._decode_targets = JointStateDecoder(len(layout.servos)).decode
             self._subscribe(topics.SERVO_TARGETS, self._take_targets)
@@ -179,10 +181,10 @@ class Remote(Source):
         seconds = (stamp - self._base_ns) * 1e-9
         near = None if self._newest is None else self._newest.sample.angles
         sample = self.layout.sample(self._pose, self._twist, seconds, near=near)
-        sample.errors, sample.external = self._errors, self._external(stamp)
+        motions = self.layout.motions_at(just_after(seconds), self._motions)
+        sample.errors, sample.acting = self._errors, Acting(self._external(stamp), self._targets, motions)
         sample.joint_efforts = dict(self._inputs.schedule.efforts)
-        sample.targets, sample.switching = self._targets, self._modes
-        sample.motions = self.layout.motions_at(just_after(seconds), self._motions)
+        sample.switching = self._modes
         accuracy, bound = self._figures.get("accuracy"), None
         if accuracy is not None:
             bound = allowed(self.layout, accuracy, self._figures["accuracy_horizon_s"], seconds)
@@ -198,9 +200,8 @@ class Remote(Source):
             for command in list(self._commands.values())
             if command.start_ns <= time_ns and (command.end_ns is None or time_ns < command.end_ns)
         )
-        if acting != self._acting:
-            self._inputs.commands, self._acting = Commands(acting), acting
-        return self._inputs.external.copy()
+        self._inputs.show(acting, self._grid.marked(max(0, time_ns)))
+        return self._inputs.acting.external.copy()
 
     def _take_targets(self, payload):
         _, _, position, velocity, _ = self._decode_targets(payload)

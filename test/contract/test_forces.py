@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Properties of every kind of force. A new kind only needs examples in EXAMPLES."""
 
+from types import SimpleNamespace
+
 import mechanisms
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ from naive import displaced
 
 from liegroup_core import Simulation
 from liegroup_core.forces import external, gravity, kinds
+from liegroup_core.forces.applied_wrench import wrenches_of
 from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.groups import SE3
 from liegroup_core.mechanism.body_model import build_model
@@ -52,7 +55,7 @@ applied_wrench:
 """)
 CLASSES = {cls.model_fields["type"].default: cls for cls in FORCES}
 EXAMPLES = {kind: [CLASSES[kind](**entry) for entry in entries] for kind, entries in EXAMPLES.items()}
-DRIVEN = ("motor", "linear_motor", "servo", "linear_servo", "applied_wrench")  # their power may be positive
+DRIVEN = ("motor", "linear_motor", "servo", "linear_servo")  # their power may be positive
 ELASTIC = [kind for kind, module in kinds.KINDS.items() if hasattr(module, "energy")]
 SEEDS = range(4)
 
@@ -79,12 +82,11 @@ class State:
         self.forces = kinds.make_forces(EXAMPLES[kind] if described is None else described, INDEX, ends)
         self.angle = np.full(kinds.count_of_angles(self.forces), 20.0)  # three turns
         kinds.count_turns(self.forces, flat(pose), self.angle)
-        self.acting = np.ones(len(self.forces.applied_wrench), dtype=bool)
         self.targets = kinds.target_values(self.forces)
 
     def wrench(self, twist):
         out = np.zeros((3, 6))
-        kinds.add_wrenches(self.forces, self.angle, self.acting, self.targets, flat(self.matrices), twist, out)
+        kinds.add_wrenches(self.forces, self.angle, self.targets, flat(self.matrices), twist, out)
         return out
 
     def energy(self, motion=np.zeros((3, 6))):
@@ -93,7 +95,7 @@ class State:
         return kinds.energy(self.forces, self.angle, flat(moved))
 
     def power(self, twist):
-        return kinds.power(self.forces, self.angle, self.acting, self.targets, flat(self.matrices), twist)
+        return kinds.power(self.forces, self.angle, self.targets, flat(self.matrices), twist)
 
 
 def flat(matrices):
@@ -104,8 +106,8 @@ def flat(matrices):
 
 def test_every_kind_is_known_everywhere():
     types = [cls.model_fields["type"].default for cls in FORCES]
-    assert list(kinds.KINDS) == types
-    assert list(kinds.Forces.__dataclass_fields__) == [*types, "counted", "exist"]
+    assert [*kinds.KINDS, "applied_wrench"] == types
+    assert list(kinds.Forces.__dataclass_fields__) == [*kinds.KINDS, "counted", "exist"]
     assert set(EXAMPLES) == set(types)
 
 
@@ -160,13 +162,13 @@ def test_the_change_of_the_wrench_is_its_derivative(kind, seed):
     state, rng = State(kind, seed), np.random.default_rng([seed, 9])
     moves, rates, shifts = rng.normal(size=(3, 6)), rng.normal(size=(3, 6)), rng.normal(size=state.targets.shape)
     found, sums, at = np.zeros((3, 6)), np.zeros((3, 6)), np.zeros((1, 2))  # an offset of one row
-    given = state.forces, state.angle, state.acting, state.targets, flat(state.matrices), state.twist
+    given = state.forces, state.angle, state.targets, flat(state.matrices), state.twist
     kinds.add_changes(*given, moves, rates, np.concatenate([at, shifts]), 1, found)
     for step, weight in ((-2, 1.0), (-1, -8.0), (1, 8.0), (2, -1.0)):
         s, out = 1e-3 * step, np.zeros((3, 6))
         moved = flat([displaced(matrix, s * twist) for matrix, twist in zip(state.matrices, moves)])
         targets, twist = state.targets + s * shifts, state.twist + s * rates
-        kinds.add_wrenches(state.forces, state.angle, state.acting, targets, moved, twist, out)
+        kinds.add_wrenches(state.forces, state.angle, targets, moved, twist, out)
         sums += weight * out / 12e-3
     size = max(1.0, np.abs(sums).max(), np.abs(state.wrench(state.twist)).max())
     assert np.abs(found - sums).max() <= 1e-8 * size
@@ -238,21 +240,24 @@ def test_without_rows_nothing_happens():
     state = State("drag", 0, described=[])
     wrench = np.random.default_rng(0).normal(size=(3, 6))
     before = wrench.tobytes()
-    kinds.add_wrenches(
-        state.forces, state.angle, state.acting, state.targets, flat(state.matrices), state.twist, wrench
-    )
+    kinds.add_wrenches(state.forces, state.angle, state.targets, flat(state.matrices), state.twist, wrench)
     assert wrench.tobytes() == before
     assert state.energy() == 0.0 and state.power(state.twist) == 0.0
     assert kinds.too_fast(state.forces, 1e9, flat(state.matrices), state.twist) == -1
 
 
 def test_a_wrench_acts_where_it_is_told_to():
-    state = State("applied_wrench", 0)
+    state, both = State("drag", 0), EXAMPLES["applied_wrench"]
     for acting in ([True, False], [False, True], [False, False]):
-        state.acting[:] = acting
-        wrench = state.wrench(state.twist)
+        wrench = of_scene([force for force, acts in zip(both, acting) if acts], state)
         assert wrench.any(axis=1).tolist() == [*acting, False]
-        assert (state.power(state.twist) == 0.0) == (not any(acting))
+
+
+def of_scene(forces, state):
+    """(3, 6) wrenches in body axes of ConstantWrenches, about the origins of the body frames."""
+    wrench, offsets = np.zeros((3, 6)), SimpleNamespace(com=np.zeros((3, 3)))
+    external.set_external_wrenches(wrenches_of(forces, INDEX, offsets), flat(state.matrices), wrench)
+    return wrench
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -260,9 +265,8 @@ def test_a_wrench_in_body_axes_is_that_in_world_axes_turned(seed):
     both = [
         ConstantWrench(name=axes, body="a", torque=(1, 2, 3), force=(4, 5, -6), axes=axes) for axes in ("world", "body")
     ]
-    state = State("applied_wrench", seed, both)
-    state.acting[:] = (True, False)
-    in_world = state.wrench(state.twist)[0].reshape(2, 3)
+    state = State("drag", seed)
+    in_world = of_scene(both[:1], state)[0].reshape(2, 3)
     np.testing.assert_allclose(
         in_world @ state.matrices[0][:3, :3].T, [[1, 2, 3], [4, 5, -6]], atol=1e-14
     )  # a few roundings of numbers below 9

@@ -6,6 +6,7 @@ import math
 import pytest
 
 from liegroup_core.errors import SceneError
+from liegroup_core.layout import make_layout
 from liegroup_core.mechanism.body_model import build_model
 from liegroup_core.scene import scene_from_text
 
@@ -46,12 +47,11 @@ def test_every_number_of_a_force_reaches_the_model():
     assert (motor["torque"], motor["slope"]) == (-5, 0.05)
     assert row(MOTOR.replace(", rate_limit: 100", ""))["slope"] == 0.0
     assert row(DRAG).tolist() == (0, 1, 2, 3, 4)
-    push = row(PUSH)
-    assert push["world_axes"] == 1 and push["body"] == 1
-    assert [*push["force"], *push["torque"], *push["point"]] == [*range(1, 10)]
-    assert (push["start"], push["end"]) == (0.25, 0.75)
-    push = row("type: applied_wrench, body: b")
-    assert (push["world_axes"], push["start"], push["end"]) == (0, 0.0, math.inf)
+    ((start, end, push),) = make_layout(scene_with(PUSH)).commands
+    assert (push.axes, push.name, start, end) == ("world", "b", 0.25, 0.75)
+    assert (push.values, push.point) == ((4.0, 5.0, 6.0, 1.0, 2.0, 3.0), (7.0, 8.0, 9.0))
+    ((start, end, push),) = make_layout(scene_with("type: applied_wrench, body: b")).commands
+    assert (push.axes, push.point, start, end) == ("body", None, 0.0, math.inf)
 
 
 @pytest.mark.parametrize(

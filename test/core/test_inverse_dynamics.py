@@ -29,7 +29,7 @@ def solved(scene, wrenches, space):
         simulation.apply_wrench(body, wrench, source=axes, axes=axes)
     simulation.advance(0)
     model, work = engine.at_stage(simulation)
-    assert relative.accelerate(model, work, simulation.inputs.external) == -1
+    assert relative.accelerate(model, work, simulation.inputs.acting.external) == -1
     return simulation, model, work
 
 

@@ -315,7 +315,7 @@ def test_the_points_of_an_open_ball_joint_in_a_loop_accelerate_alike():
             away = rng.uniform(-0.4, 0.4, (len(work.acceleration), 1))
             displace(model, b, work.stage_pose, away, 0, work.stage_pose)
             work.stage_twist[first + b] = rng.uniform(-2.0, 2.0, 6)
-        assert accelerations(model, work, simulation.inputs.external) == -1
+        assert accelerations(model, work, simulation.inputs.acting.external) == -1
         found = []
         for link, point in (("parent", "parent_point"), ("child", "child_point")):
             b, at = joint[link], element[point]

@@ -215,3 +215,36 @@ def test_a_command_for_the_past_acts_from_now_to_its_stated_end(caplog):
     assert [(c.start_ns, c.end_ns) for c in simulation.drain_applied()] == [(500_000_000, 700_000_000)]
     late = [record.getMessage() for record in caplog.records if "for t = 0.2 s" in record.getMessage()]
     assert late == ["command to b for t = 0.2 s at 0.5 s: it acts from then to its end"]
+
+
+BY_SCENE = """
+name: pushed
+gravity: [0, 0, 0]
+bodies: [{name: body, mass: 2, inertia: [1, 1, 1]}]
+forces: [{name: push, type: applied_wrench, body: body, force: [3, 0, 0], start: 0.0105, end: 0.0315}]
+"""
+
+
+def test_a_wrench_of_the_scene_is_no_command_of_users():
+    """It adds to theirs, nobody ends it, and it acts at its times wherever a run starts; also inside of steps."""
+    simulation = Simulation(scene_from_text(BY_SCENE), "rkmk4", 1e-3, estimate=False)
+    simulation.apply_wrench("body", [0, 0, 0, 1, 0, 0], start=0.02, duration=0.01, source="scene")
+    simulation.advance(12)
+    for source in ("scene", "api"):
+        simulation.clear_wrenches(source)
+    assert simulation.input_count == 0 and not simulation.wrench_sources and not simulation.inputs.has_wrenches
+    assert [command.kind for command in simulation.drain_applied()] == ["wrench", "clear"]
+    assert simulation.sample().external_wrenches[0].tolist() == [0, 0, 0, 3, 0, 0]
+    assert simulation.sample().power == pytest.approx(3 * 3 / 2 * 0.0015, rel=1e-12)
+    middle = simulation.snapshot()
+    assert not middle.parts["inputs"]["commands"].acting
+    simulation.advance(28)
+    after = simulation.sample()
+    assert after.twist[0, 3] == pytest.approx(3 / 2 * 0.021, rel=1e-12)
+    assert after.power == 0.0 and not after.external_wrenches.any()
+    simulation.restore(middle)
+    simulation.advance(28)
+    assert simulation.sample().twist.tobytes() == after.twist.tobytes()
+    simulation.set_state(*simulation.state(), steps=30)
+    simulation.advance(5)
+    assert simulation.sample().twist[0, 3] == pytest.approx(3 / 2 * 0.0225, rel=1e-12)

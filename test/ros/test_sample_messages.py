@@ -481,13 +481,13 @@ def test_markers(layout, sample):
     world = (0.0, 3.0, 0.0, 1.0, -2.0, 4.0)
     sample = copy.copy(sample)
     sample.__dict__.pop("external_wrenches", None)
-    sample.external = no_wrenches(layout.offsets)
+    sample.acting = sample.acting._replace(external=no_wrenches(layout.offsets))
     for body, wrench, axes in (
         ("plain", (0.0, 0.0, 2.0, 3.0, 0.0, -1.0), "body"),
         ("ball", world, "world"),
         ("ball", (0.0, 0.0, 0.0, 5.0, 0.0, 0.0), "body"),
     ):
-        set_wrench(sample.external, layout.body_names.index(body), wrench, axes)
+        set_wrench(sample.acting.external, layout.body_names.index(body), wrench, axes)
     encoder = Markers(layout, "world", 0.1)
     message = as_ros_serializes(encoder.encode(STAMP, sample), MarkerArray)
     found = {(marker.ns, marker.id): marker for marker in message.markers}

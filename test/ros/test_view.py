@@ -156,7 +156,7 @@ def test_a_scene_is_pulled_by_the_mouse_and_repeats_bit_by_bit(opened, tmp_path)
     slider.focus()
     for _ in range(5):
         slider.press("ArrowRight")
-    wait_for(lambda: source.frame().sample.targets[0, 0] > 0.0, "command of the slider")
+    wait_for(lambda: source.frame().sample.acting.targets[0, 0] > 0.0, "command of the slider")
     shown.get_by_role("tab", name="Events").click()
     shown.get_by_text("paused at step").first.wait_for()
     assert shown.get_by_text(CODE).count() and not shown.locator("img[src=x]").count()
@@ -520,8 +520,8 @@ def _acceleration(scene, label, point, force):
     sample, body = simulation.sample(), simulation.layout.body_names.index(label)
     turn = sample.pose[body, :9].reshape(3, 3)
     local = turn.T @ force
-    sample.external = no_wrenches(simulation.layout.offsets)
-    set_wrench(sample.external, body, (*np.cross(point, local), *local), "body")
+    sample.acting = sample.acting._replace(external=no_wrenches(simulation.layout.offsets))
+    set_wrench(sample.acting.external, body, (*np.cross(point, local), *local), "body")
     found = sample.accelerations[label]
     return turn @ (found[3:] + np.cross(found[:3], point))
 

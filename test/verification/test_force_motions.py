@@ -10,9 +10,7 @@ import pytest
 from convergence import order_of
 
 from liegroup_core import Scene, Simulation, SimulationError
-from liegroup_core.forces import kinds
 from liegroup_core.forces.instants import StepGrid
-from liegroup_core.forces.timetable import Timetable
 from liegroup_core.scene import Body, ConstantWrench, Frame, Joint, Motor, TorsionalSpringDamper
 from liegroup_core.status import ROTATION_TOO_LARGE, TURNS_NOT_COUNTED
 
@@ -254,26 +252,30 @@ def test_wrench_times_follow_the_step_count():
     assert simulation.layout.sample(pose, twist, time=0.5).power == 0.0
 
 
-def test_timetable_splits_steps_at_wrench_times():
-    rows = np.zeros(3, dtype=kinds.KINDS["applied_wrench"].ROW)
-    rows["start"] = 0.0, 0.3, 0.42
-    rows["end"] = np.inf, 0.5, 0.44
-    grid = StepGrid(0.1)
-    table = Timetable(rows, grid)  # 3 * 0.1 is not 0.3 in binary, but it is meant
+def test_steps_are_split_where_wrenches_of_the_scene_start_and_end():
+    """3 * 0.1 is not 0.3 in binary, but it is meant."""
+    times = (0.0, None), (0.3, 0.5), (0.42, 0.44)
+    pushes = [ConstantWrench(name=f"p{k}", body="b", force=(1, 0, 0), start=a, end=b) for k, (a, b) in enumerate(times)]
+    body = Body(name="b", mass=1.0, inertia=INERTIA)
+    simulation = Simulation(Scene(name="s", gravity=(0, 0, 0), bodies=[body], forces=pushes), "rkmk4", 0.1)
+    schedule, boundary = simulation.inputs.schedule, StepGrid(0.1).boundary
     changes, step = [], -1
-    while (step := table.next_change(step)) < 100:
+    while (step := schedule.next_change(step)) < 100:
         changes.append(step)
-    assert changes == [0, 3, 4, 5]
-    boundary = grid.boundary
-    assert not table.inside(3) and table.acting(boundary(3)).tolist() == [True, True, False]
-    inside = table.inside(4)
+    assert changes == [3, 4, 5]  # the first acts already
+    assert not schedule.inside(3)
+    inside = schedule.inside(4)
     assert [instant.time for instant in inside] == [0.42, 0.44]
-    assert [table.acting(start).tolist() for start in (boundary(4), *inside)] == [
-        [True, True, False],
-        [True, True, True],
-        [True, True, False],
-    ]
-    assert table.acting(boundary(5)).tolist() == [True, False, False]
+    for instant, force in (
+        (boundary(3), 2.0),
+        (boundary(4), 2.0),
+        (inside[0], 3.0),
+        (inside[1], 2.0),
+        (boundary(5), 1.0),
+    ):
+        schedule.update(instant)
+        assert schedule.total["body"][0, 3] == force
+    assert simulation.input_count == 0 and not simulation.wrench_sources and not simulation.drain_applied()
 
 
 @pytest.mark.parametrize("steps, step, time, sign", [(35, 0.01, 0.35, 1), (22, 0.03, 0.66, -1)])
@@ -292,11 +294,11 @@ def test_a_decimal_time_is_matched_to_its_step(steps, step, time, sign):
             method="rkmk4",
             step=step,
         )
-        grid = StepGrid(step)
-        table = Timetable(simulation.layout.model.forces.applied_wrench, grid)
-        assert not table.inside(steps - 1) and not table.inside(steps)
-        acting = [bool(table.acting(grid.boundary(k))[0]) for k in (steps - 1, steps)]
-        assert acting == [before, after]
+        grid, schedule = StepGrid(step), simulation.inputs.schedule
+        assert not schedule.inside(steps - 1) and not schedule.inside(steps)
+        for k, expected in ((steps - 1, before), (steps, after)):
+            schedule.update(grid.boundary(k))
+            assert schedule.total["body"][0, 3] == expected
         pose, twist = simulation.state()
         simulation.set_state(pose, twist, steps=steps)
         assert simulation.sample().power == after

@@ -55,11 +55,11 @@ def differ(simulation, kinds=("efforts", "targets"), modes=None):
     found, errors, _ = probe.tangents(directions, sizes, *inputs.changes(count))
     expected = []
     for d in range(len(directions)):
-        applied = (None, None) if d < count else np.eye(len(inputs))[d - count]
+        applied = None if d < count else np.eye(len(inputs))[d - count]
 
         def slopes(s, d=d, applied=applied):
             given = applied if d < count else inputs.applied(s * applied)
-            return probe.slopes(s * directions[d], *given)[0]
+            return probe.slopes(s * directions[d], given)[0]
 
         # Accelerations are linear in the inputs, up to the limits of servos.
         expected.append(derivative(slopes, sizes[d] if d < count else 1e-3)[0])
@@ -213,7 +213,7 @@ def combined(switches, rng, count):
 def test_every_force_and_every_switch_has_derivatives_in_every_mode():
     """A new type of force or of coordinate with stops is missing here until EVERY_SWITCH has it."""
     scene = scene_from_text(EVERY_SWITCH, "test")
-    assert {force.type for force in scene.forces} == set(KINDS)
+    assert {force.type for force in scene.forces} == {*KINDS, "applied_wrench"}
     simulation = Simulation(scene, "rkmk4", 1e-5, estimate=False, quiet=True)
     switches = simulation.layout.switches
     assert {switch.kind for switch in switches} == {*COORDINATES, BACKLASH}

@@ -108,8 +108,7 @@ class GeneralizedAlpha:
         self._memory = make_memory(len(self._work.freedoms), len(self._model.row_residual))
         self._advance, self._initialise = SameTypes(advance), SameTypes(initialise)
         # Step size and wrenches for which the memory was initialised; NaN: not initialised.
-        inputs = EXTERNAL_COLUMNS * n + len(self.work.acting)
-        inputs += self.work.targets.size + self.work.motions.size
+        inputs = EXTERNAL_COLUMNS * n + self.work.targets.size + self.work.motions.size
         self._started_for = np.zeros(1 + inputs)
         self.restart()
 
@@ -125,9 +124,7 @@ class GeneralizedAlpha:
 
     def advance(self, h, steps, pose, twist, external):
         """Take steps of size h in place; returns (steps done, status)."""
-        inputs = np.concatenate(
-            ((h,), external.ravel(), self.work.acting, self.work.targets.ravel(), self.work.motions.ravel())
-        )
+        inputs = np.concatenate(((h,), external.ravel(), self.work.targets.ravel(), self.work.motions.ravel()))
         if self._started_for.tobytes() != inputs.tobytes():
             dependent = self._initialise(self._model, self._work, self._memory, pose, twist, external)
             if dependent >= 0:

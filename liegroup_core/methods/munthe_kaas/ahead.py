@@ -27,6 +27,7 @@ import numpy as np
 import scipy
 
 from liegroup_core.compiling import kernel
+from liegroup_core.forces.acting import Acting
 from liegroup_core.forces.instants import NOT_AHEAD
 from liegroup_core.mechanism.arrays import COORDINATE
 from liegroup_core.mechanism.bodies import copy_state
@@ -42,12 +43,14 @@ class Lead:
     work, control : of the method
 
     grid, limit : StepGrid, and Instant of the next known change of the inputs
+    acting : Acting, for which it is the lead
     """
 
     grid = limit = None
 
     def __init__(self, work, control):
         self._work, self._control = work, control
+        self.acting = Acting(work.lead_external, work.lead_targets, work.lead_motions)
 
     @property
     def runs(self):
@@ -127,16 +130,6 @@ def further_stages():
 
 
 @kernel
-def _differs(present, lead):
-    """Whether two arrays (k,) differ; `lead` becomes the present one."""
-    differs = False
-    for i in range(len(present)):
-        differs = differs or present[i] != lead[i]
-        lead[i] = present[i]
-    return differs
-
-
-@kernel
 def _rows_differ(present, lead):
     """Whether two arrays (k, c) differ; `lead` becomes the present one."""
     differs = False
@@ -153,7 +146,6 @@ def meet_inputs(work, external, control):
     differs = _rows_differ(external, work.lead_external)
     differs = _rows_differ(work.targets, work.lead_targets) or differs
     differs = _rows_differ(work.motions, work.lead_motions) or differs
-    differs = _differs(work.acting, work.lead_acting) or differs
     if differs:
         work.known[0] = control.leads[0] = 0.0
 

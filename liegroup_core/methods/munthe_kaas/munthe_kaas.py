@@ -198,6 +198,11 @@ class MuntheKaas:
         return self._model, self._work
 
     @property
+    def mask_before(self):
+        """Place in `memory` at which that of earlier versions has a mask of the wrenches of the scene, or None."""
+        return 15 if self._may_run_ahead else None
+
+    @property
     def memory(self):
         """Arrays of the memory between calls: substeps of error control, relative coordinates."""
         control, work = (), self._work
@@ -209,7 +214,7 @@ class MuntheKaas:
         known = work.kept_slopes[: blocks * 2 * self.freedoms // work.kept_slopes.shape[1]]
         lead = (
             (work.pose, work.twist, work.lead_angle, work.kept_pose, work.kept_twist, known)
-            + (work.kept_angle, work.lead_external, work.lead_targets, work.lead_acting, work.lead_motions)
+            + (work.kept_angle, work.lead_external, work.lead_targets, work.lead_motions)
             + (work.lead_coordinates, work.kept_coordinates, work.watch[SPAN:], work.crossed, self._control.begins)
             + tuple(array for scheme, *_ in self._methods for array in scheme.newton.jacobian)
             if self._may_run_ahead
