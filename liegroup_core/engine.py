@@ -519,7 +519,7 @@ class Engine:
         """Move the base and the present time."""
         if (base, now) != (self.base, self.now):
             self.base, self.now, self._here = base, now, None
-            if base >= self.inputs.schedule.next_of_scene:
+            if not base < self.inputs.schedule.next_of_scene:
                 self.inputs.update(base)
 
     def _next_stop(self, until):
@@ -530,11 +530,13 @@ class Engine:
         base, grid, schedule = self.base, self._grid, self.inputs.schedule
         self.inputs.update(base)
         if self._switching is None and self.runs_ahead:
-            stop, longest = min(self.change_after(base), until), base.step + self._block
+            stop, longest = min(schedule.next_after(base), until), base.step + self._block
             if stop == until or stop.step >= longest:
                 stop = grid.boundary(min(stop.step, longest))
             return (stop, stop.step - base.step + (stop.offset > 0), ()) if stop > base else (None, 0, ())
-        change, inside = schedule.next_change(base.step), schedule.inside(base.step)
+        change, inside = NEVER, ()
+        if schedule:
+            change, inside = schedule.next_change(base.step), schedule.inside(base.step)
         for instant in inside:
             # A part ends only where a total changes.
             if base < instant < until:
@@ -633,13 +635,9 @@ class Engine:
             if events is not None:
                 switching.take_log(events)
 
-    def change_after(self, instant):
-        """First Instant after another at which an input changes, or AFTER."""
-        return self.inputs.schedule.next_after(instant) if self.inputs.schedule else AFTER
-
     def changes_before(self, steps):
         """Whether an input changes after the present time and before a step count."""
-        return self.change_after(self.now) < self._grid.boundary(steps)
+        return self.inputs.schedule.next_after(self.now) < self._grid.boundary(steps)
 
     def instant_inside(self, step, part):
         """Instant of an exact fraction of a step."""

@@ -320,23 +320,14 @@ class Layout:
         """Acting, what acts by the scene from a time in s on."""
         return Acting(self.wrenches_at(time), self.targets, self.motions_at(time))
 
-    def motions_at(self, time, commanded=None):
-        """(d, 7) motion of each driven joint that holds from a time on; see joints/motion.py.
-
-        commanded : (d, 7) commanded ones, or FROM_SCENE
-        """
+    def motions_at(self, time):
+        """(d, 7) motion of each driven joint that holds from a time on; see joints/motion.py."""
         if not self.motions:
             return NO_MOTIONS
         origins, table = self._rows_of_motions
         if len(table) == len(origins):
-            found = table.copy()
-        else:
-            found = table[[max(0, bisect_right(some, time) - 1) + at for at, some in origins]]
-        if commanded is not None:
-            for joint, origin in enumerate(commanded[:, 0].tolist()):
-                if origin < math.inf:
-                    found[joint] = commanded[joint]
-        return found
+            return table.copy()
+        return table[[max(0, bisect_right(some, time) - 1) + at for at, some in origins]]
 
     def motions_along(self, times):
         """(m, d, 7) motions of the scene that hold at times (m,) in s."""

@@ -2,18 +2,16 @@
 """Commands of a run as inputs of the reference integration."""
 
 from liegroup_core.forces.commands import EFFORT, MOTION, TARGET
-from liegroup_core.reference import MotionChange, ServoChange, WrenchSpan
+from liegroup_core.reference import JointChange, WrenchSpan
 from liegroup_sim_ros.recording.input_track import FOREVER, KINDS, InputTrack
 
 
 def reference_inputs(layout, commands):
-    """[WrenchSpan, ServoChange or MotionChange] of Commands from `drain_applied`."""
+    """[WrenchSpan or JointChange] of Commands from `drain_applied`."""
     found, track = [], InputTrack()
     for command in commands:
-        if command.kind == TARGET:
-            found.append(ServoChange(command.start, command.name, *command.values))
-        elif command.kind == MOTION:
-            found.append(MotionChange(command.start, command.name, command.values))
+        if command.kind in (TARGET, MOTION):
+            found.append(JointChange(command.start, command.name, command.values))
         elif command.kind in KINDS:
             track.add(0, 0, command)
     for start, end, k in zip(*(part.tolist() for part in track.spans())):

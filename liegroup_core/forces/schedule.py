@@ -192,23 +192,21 @@ class Schedule:
     @property
     def next(self):
         """Instant before which `update` changes nothing."""
-        return self._next_times[0]
+        return (self._known or self._next_times())[0]
 
     @property
     def next_of_scene(self):
         """Instant before which `update` changes nothing of the scene."""
-        return self._next_times[1]
+        return (self._known or self._next_times())[1]
 
-    @property
     def _next_times(self):
-        if self._known is None:
-            acting = self._acting.values()
-            ends = [BEFORE if entry.ends_at_once else entry.end for entry in acting]
-            later = next((entry.start for entry in self.waiting if entry.of_scene), AFTER)
-            self._known = (
-                min([*ends, *(entry.start for entry in self.waiting[:1])], default=AFTER),
-                min([later, *(entry.end for entry in acting if entry.of_scene)]),
-            )
+        acting = self._acting.values()
+        ends = [BEFORE if entry.ends_at_once else entry.end for entry in acting]
+        later = next((entry.start for entry in self.waiting if entry.of_scene), AFTER)
+        self._known = (
+            min([*ends, *(entry.start for entry in self.waiting[:1])], default=AFTER),
+            min([later, *(entry.end for entry in acting if entry.of_scene)]),
+        )
         return self._known
 
     def update(self, instant):

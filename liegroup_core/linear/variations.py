@@ -128,7 +128,7 @@ class Variations:
         window = next(((a, b) for a, b in self._windows if b > self.time_ns), (waiting[-1], waiting[-1]))
         if window[0] <= self.time_ns:
             return self._cross([time for time in waiting if time < window[1]], window[1])
-        change = self._run.change_after(self._run.instant_of(self.time_ns))
+        change = self._run.inputs.schedule.next_after(self._run.instant_of(self.time_ns))
         limits = [waiting[-1], window[0], *([] if change is AFTER else [round(1e9 * change.time)])]
         return self._interval(waiting, min(limit for limit in limits if limit > self.time_ns))
 

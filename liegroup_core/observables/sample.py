@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from liegroup_core.dynamics.constraints import position_residuals
 from liegroup_core.forces import kinds
+from liegroup_core.forces.acting import Acting
 from liegroup_core.forces.external import power as power_of
 from liegroup_core.forces.external import set_external_wrenches
 from liegroup_core.forces.instants import just_after
@@ -33,7 +34,7 @@ class Sample:
     twist : (n, 6) per body omega rad/s, v m/s; body axes, v of the frame's origin
     errors : (n, 4) estimated errors, see `error`; None without an estimate
     bound : (m, rad) largest pose errors that an accuracy allows at this time; None with a method
-    acting : Acting, at the end of the last step; by default what acts by the scene from this time on
+    acting : Acting, at the end of the last step; by default that of the scene from this time on
     joint_efforts : {joint: N m or N} commanded efforts that acted at the end of the last step
     switching : (k, 5) modes of the joints with stops or friction, in the order of the scene: 1 if held, 2 if
                 it rests because other joints are held; direction of slip; touched stop (-1 lower, 1 upper);
@@ -155,7 +156,8 @@ class Sample:
         return driving + power_of(self._layout.wrenches_at(just_after(self.time)), *self._state)
 
     @cached_property
-    def acting(self):
+    def acting(self) -> Acting:
+        """External wrenches, targets of the servos and motions of the driven joints that act."""
         return self._layout.acting_at(just_after(self.time))
 
     @property

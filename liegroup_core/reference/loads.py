@@ -34,10 +34,6 @@ class Loads(NamedTuple):
     slide_axis: np.ndarray  # (s, 3) z of the joint in the parent's axes
     slide_law: np.ndarray  # (s, 4) N, N/m, N s/m, N; coordinate: origin of the child's frame along z
     drag: np.ndarray  # (n, 4) N s/m, N s^2/m^2, N m s, N m s^2: linear, quadratic, the same angular
-    push_body: np.ndarray  # (p,) bodies of the applied wrenches
-    push_world: np.ndarray  # (p,) True: constant in world axes, False: in body axes
-    push_point: np.ndarray  # (p, 3) m
-    push_load: np.ndarray  # (p, 6) torque N m, force N
 
 
 @kernel
@@ -92,7 +88,7 @@ def _joint_forces(loads, frame, angle, force, angle_rate_out):
 
 
 @subroutine
-def add_loads(loads, mass, frame, angle, wrench, acting, force, angle_rate_out):
+def add_loads(loads, mass, frame, angle, wrench, force, angle_rate_out):
     """Add gravity, external wrenches and all forces of the scene at one state to `force`.
 
     mass   : (n,) kg
@@ -101,7 +97,6 @@ def add_loads(loads, mass, frame, angle, wrench, acting, force, angle_rate_out):
     wrench : (n, 24) external wrenches: (6) body axes, about the centre of mass; (6) world axes,
              about the point (3) of the body, relative to the centre of mass; (9) forces in world axes
              1 m from this point along x, y and z of the body, whose opposites act at this point
-    acting : (p,) mask of the applied wrenches
     force  : (n + 1, 6) force in N; torque in N m about the centre of mass; world axes
     angle_rate_out : (t,) rad/s
     """
@@ -120,12 +115,3 @@ def add_loads(loads, mass, frame, angle, wrench, acting, force, angle_rate_out):
             axis = frame[i, k], frame[i, 3 + k], frame[i, 6 + k]
             add_three(force, i, 3, 1.0, cross(axis, three(wrench, i, 15 + 3 * k)))
     _joint_forces(loads, frame, angle, force, angle_rate_out)
-    for i in range(len(loads.push_body)):
-        if acting[i]:
-            body = loads.push_body[i]
-            torque, f = three(loads.push_load, i, 0), three(loads.push_load, i, 3)
-            if not loads.push_world[i]:
-                torque, f = turned(frame, body, torque), turned(frame, body, f)
-            add_three(force, body, 3, 1.0, torque)
-            at = plus(three(frame, body, 9), 1.0, turned(frame, body, three(loads.push_point, i, 0)))
-            _add_force(force, frame, body, at, 1.0, f)

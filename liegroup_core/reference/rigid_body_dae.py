@@ -136,13 +136,12 @@ def _set_matrix(system, chosen, rows, frame, moved, matrix):
 
 
 @subroutine
-def rates(system, chosen, given, states, wrench, acting, out):
+def rates(system, chosen, given, states, wrench, out):
     """Compute the time derivatives of p states; NaN where the accelerations are not determined.
 
     given  : (p, 3, d) coordinate, rate and acceleration of the driven joints
     states : (p, 13 n + t)
     wrench : (n, 24) external wrenches, see loads.add_loads
-    acting : (p,) mask of the applied wrenches
     out    : (p, 13 n + t)
     returns the smallest ratio of a pivot of the matrix and its diagonal entry: 1 if no row is near others, 0 if
     one depends on them
@@ -159,7 +158,7 @@ def rates(system, chosen, given, states, wrench, acting, out):
         state, angle = states[p, :turns].reshape(n, STATE), states[p, turns:]
         force[:] = 0.0
         place(state, frame)
-        add_loads(system.loads, system.mass, frame, angle, wrench, acting, force, out[p, turns:])
+        add_loads(system.loads, system.mass, frame, angle, wrench, force, out[p, turns:])
         for i in range(n):
             omega = three(state, i, 10)
             torque = turned_back(frame, i, three(force, i, 3))

@@ -217,7 +217,6 @@ def with_targets(system, scene, targets):
 
 def _loads(scene, index, frames, turns, slides):
     lines = [force for force in scene.forces if force.type == "spring_damper"]
-    pushes = [force for force in scene.forces if force.type == "applied_wrench"]
     drag = np.zeros((len(scene.bodies), 4))
     for force in scene.forces:
         if force.type == "drag":
@@ -235,8 +234,4 @@ def _loads(scene, index, frames, turns, slides):
         slide_axis=_table([frames[joint.name][0][:3, 2] for joint, _ in slides], (3,)),
         slide_law=_table([law for _, law in slides], (4,)),
         drag=drag,
-        push_body=_table([index[p.body] for p in pushes], (), int),
-        push_world=_table([p.axes == "world" for p in pushes], (), bool),
-        push_point=_table([p.point for p in pushes], (3,)),
-        push_load=_table([(*p.torque, *p.force) for p in pushes], (6,)),
     )

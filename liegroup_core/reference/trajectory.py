@@ -50,21 +50,12 @@ class WrenchSpan(NamedTuple):
     point: tuple | None = None  # (3,) m, in the body frame, at which the force acts; None: its origin
 
 
-class ServoChange(NamedTuple):
-    """Target position and velocity of the servo of a joint from `time` on."""
+class JointChange(NamedTuple):
+    """Targets of the servo of a joint, or motion of a driven joint, from `time` on."""
 
     time: float  # s
     joint: str
-    position: float  # rad or m
-    velocity: float  # rad/s or m/s
-
-
-class MotionChange(NamedTuple):
-    """Prescribed motion of a driven joint from `time` on."""
-
-    time: float  # s
-    joint: str
-    motion: tuple  # (7,) see joints/motion.py
+    values: tuple  # (2,) position and velocity, rad and rad/s, or m and m/s; or (7,), see joints/motion.py
 
 
 class Trajectory(NamedTuple):
@@ -111,8 +102,8 @@ def integrate(scene, pose, twist, times, changes=(), start=0.0, rtol=TIGHT):
     twist   : (n, 6) body-fixed, at `start`. Pose and twist are those of the frames at the centres of
               mass, as from Simulation.state
     times   : (k,) s, increasing, not before `start`
-    changes : WrenchSpan, ServoChange and MotionChange; servos and motions in the order of their times. Before
-              the first of these targets and motions are those of the scene
+    changes : WrenchSpan and JointChange, the latter in the order of their times. Before the first of these, targets
+              and motions are those of the scene
     rtol    : tolerance of the error inside a step, relative to the characteristic length and in rad
     returns (Trajectory at `times`, its uncertainty as a Distance: the largest distance so far to
     a run with a tolerance LOOSER times larger)
@@ -210,18 +201,16 @@ class Reference:
 def _pieces(scene, system, offsets, changes, start, end):
     """Intervals of constant wrenches, constant targets of servos, and one motion of each drive.
 
-    returns [(start, end, System, wrenches (n, 24) of loads.add_loads, mask (p,) of applied wrenches,
-    [(7,) of each driven joint])]
+    returns [(start, end, System, wrenches (n, 24) of loads.add_loads, [(7,) of each driven joint])]
     """
     targets, commanded, motions = {}, {}, resolve_drives(scene)
     index = {body.name: i for i, body in enumerate(scene.bodies)}
-    pushes = [force for force in scene.forces if force.type == "applied_wrench"]
     spans = [change for change in changes if isinstance(change, WrenchSpan)]
+    spans += [_span(force) for force in scene.forces if force.type == "applied_wrench"]
     # Sorted by time; changes at the same time keep their order.
     switches = sorted(
         [(change.time, change) for change in changes if not isinstance(change, WrenchSpan)]
         + [(time, span) for span in spans for time in (span.start, span.end)]
-        + [(time, None) for push in pushes for time in (push.start, push.end) if time is not None]
         + [(time, None) for rows in motions.values() for time in rows[1:, 0]],
         key=lambda switch: switch[0],
     )
@@ -235,21 +224,18 @@ def _pieces(scene, system, offsets, changes, start, end):
             until = min(time, end)
             # The middle is away from all starts and ends, so that round-off does not matter.
             middle = 0.5 * (since + until)
-            acting = np.array(
-                [push.start <= middle and (push.end is None or middle < push.end) for push in pushes], dtype=bool
-            )
             driving = [commanded.get(scene.joints[j].name, row_at(rows, middle)) for j, rows in motions.items()]
-            piece = since, until, system, wrench.copy(), acting, driving
+            piece = since, until, system, wrench.copy(), driving
             if pieces and _is_same(pieces[-1], piece):
                 pieces[-1] = pieces[-1][0], *piece[1:]
             else:
                 pieces.append(piece)
             since = until
-        if isinstance(change, ServoChange):
-            targets[change.joint] = change.position, change.velocity
+        if isinstance(change, JointChange) and len(change.values) == 2:
+            targets[change.joint] = change.values
             system = with_targets(system, scene, targets)
-        elif isinstance(change, MotionChange):
-            commanded[change.joint] = np.array(change.motion)
+        elif isinstance(change, JointChange):
+            commanded[change.joint] = np.array(change.values)
         elif change is not None:
             body = index[change.body]
             # A span is found twice: where it starts, and where it ends.
@@ -265,6 +251,12 @@ def _is_same(piece, following):
     """Whether nothing changes between two pieces."""
     _, _, system, *arrays = piece
     return system is following[2] and all(map(np.array_equal, arrays, following[3:]))
+
+
+def _span(push):
+    """WrenchSpan of an applied wrench of a scene."""
+    end = np.inf if push.end is None else push.end
+    return WrenchSpan(push.start, end, push.body, (*push.torque, *push.force), push.axes, push.point)
 
 
 def _set_row(row, body, spans, offsets):
@@ -388,12 +380,12 @@ class _Run:
             "because the forces jump or grow without bound"
         )
 
-    def _begin(self, begin, end, system, wrench, acting, driving):
+    def _begin(self, begin, end, system, wrench, driving):
         self._driving, self._end = driving, end
 
         def function(times, states, out):
             given = np.stack([self._given(time) for time in times])
-            self._pivot = rates(system, self._chosen, given, states, wrench, acting, out)
+            self._pivot = rates(system, self._chosen, given, states, wrench, out)
 
         if self._solver is None:
             self._chosen, self._rank = _independent(system, unit_rows(system, self._state, self._given(begin))[0])

@@ -8,8 +8,8 @@ state of each stretch. A stretch is a part of the recording between resets or se
 import numpy as np
 
 from liegroup_core.errors import SimulationError
-from liegroup_core.forces.commands import TARGET, WRENCH
-from liegroup_core.reference import MotionChange, Reference, ServoChange, Trajectory, WrenchSpan, distance
+from liegroup_core.forces.commands import WRENCH
+from liegroup_core.reference import JointChange, Reference, Trajectory, WrenchSpan, distance
 from liegroup_core.reference.trajectory import MOST_STEPS
 from liegroup_sim_ros.numbers import counted, shown
 from liegroup_sim_ros.playback.rerun import Starts
@@ -176,17 +176,15 @@ class ReferenceError:
         return found
 
     def _changes(self, stretch):
-        """[ServoChange or MotionChange] of a stretch up to the end of the reference."""
+        """[JointChange] of a stretch up to the end of the reference."""
         found = []
-        for kind, (joints, times, values) in stretch.changes.items():
+        for joints, times, values in stretch.changes.values():
             when = stretch.in_steps(times) * stretch.step
             upto = int(np.searchsorted(when, self._end, "right"))
             for time, rows in zip(when[:upto].tolist(), values[:upto].tolist()):
-                for joint, row in zip(joints, rows):
-                    if kind == TARGET:
-                        found.append(ServoChange(time, joint, *row))
-                    elif np.isfinite(row[0]):
-                        found.append(MotionChange(time, joint, tuple(row)))
+                found += [
+                    JointChange(time, joint, tuple(row)) for joint, row in zip(joints, rows) if np.isfinite(row[0])
+                ]
         return found
 
     def figures(self):

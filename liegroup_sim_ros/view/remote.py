@@ -11,9 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from liegroup_core import Simulation
 from liegroup_core.errors import SceneError
-from liegroup_core.forces.acting import Acting
-from liegroup_core.forces.commands import EFFORT, WRENCH
-from liegroup_core.forces.instants import StepGrid, just_after
+from liegroup_core.forces.commands import EFFORT, MOTION, WRENCH, Command
+from liegroup_core.forces.instants import StepGrid
 from liegroup_core.inputs import Inputs
 from liegroup_core.joints.motion import FROM_SCENE
 from liegroup_core.layout import make_layout
@@ -181,8 +180,7 @@ class Remote(Source):
         seconds = (stamp - self._base_ns) * 1e-9
         near = None if self._newest is None else self._newest.sample.angles
         sample = self.layout.sample(self._pose, self._twist, seconds, near=near)
-        motions = self.layout.motions_at(just_after(seconds), self._motions)
-        sample.errors, sample.acting = self._errors, Acting(self._external(stamp), self._targets, motions)
+        sample.errors, sample.acting = self._errors, self._acting(stamp)
         sample.joint_efforts = dict(self._inputs.schedule.efforts)
         sample.switching = self._modes
         accuracy, bound = self._figures.get("accuracy"), None
@@ -193,15 +191,18 @@ class Remote(Source):
         self._least = min(self._least, late)
         self._late = late - self._least
 
-    def _external(self, stamp):
+    def _acting(self, stamp):
+        """Acting at a stamp."""
         time_ns = stamp - self._base_ns
-        acting = tuple(
+        acting = [
             command._replace(start_ns=0, end_ns=None)
             for command in list(self._commands.values())
             if command.start_ns <= time_ns and (command.end_ns is None or time_ns < command.end_ns)
-        )
-        self._inputs.show(acting, self._grid.marked(max(0, time_ns)))
-        return self._inputs.acting.external.copy()
+        ]
+        rows = zip(self.layout.motions, self._motions.tolist())
+        acting += [Command(MOTION, joint, tuple(row), 0) for joint, row in rows if math.isfinite(row[0])]
+        self._inputs.show(tuple(acting), self._grid.marked(max(0, time_ns)))
+        return self._inputs.acting.copy()._replace(targets=self._targets)
 
     def _take_targets(self, payload):
         _, _, position, velocity, _ = self._decode_targets(payload)

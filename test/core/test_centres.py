@@ -18,9 +18,9 @@ from liegroup_core.scene.description import FORCES, JOINTS
 
 # Properties of a Sample that depend on the body frames; all others belong to the mechanism.
 OF_FRAMES = {"pose", "twist", "rows", "poses", "twists", "positions", "pose_matrices"}
-OF_FRAMES |= {"accelerations", "child_frames", "external", "scene"}
-# None without an estimate, an accuracy, servos, driven joints, stops and friction.
-ABSENT = {"error", "errors", "bound", "targets", "motions", "switching"}
+OF_FRAMES |= {"accelerations", "acting", "child_frames", "scene"}
+# None without an estimate, an accuracy, stops and friction.
+ABSENT = {"error", "errors", "bound", "switching"}
 
 
 def pair(name, seed=0):
