@@ -30,7 +30,6 @@ from liegroup_core.mechanism.size import mechanism_size
 from liegroup_core.mechanism.spanning_tree import WORLD_NAME
 from liegroup_core.methods.table import RELATIVE
 from liegroup_core.observables.joint_coordinates import JointCoordinates
-from liegroup_core.observables.joint_forces import JointForces
 from liegroup_core.observables.quantities import Catalogue
 from liegroup_core.observables.reactions import Reactions
 from liegroup_core.observables.sample import Sample
@@ -260,8 +259,8 @@ class Layout:
 
     @cached_property
     def joint_forces(self):
-        """JointForces of the scene."""
-        return JointForces(self.centred)
+        """{name: force} of the forces about or along the z axis of a joint."""
+        return {force.name: force for force in self.scene.forces if force.joint_moves}
 
     @cached_property
     def unit_efforts(self):

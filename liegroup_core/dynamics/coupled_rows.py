@@ -8,7 +8,7 @@ the time of the stage, work.clock.now[0].
 """
 
 from liegroup_core.compiling import kernel, subroutine
-from liegroup_core.forces.turn import unwrapped
+from liegroup_core.forces.axis import unwrapped
 from liegroup_core.joints.motion import acceleration, position, rate
 from liegroup_core.mechanism.arrays import COORDINATE
 

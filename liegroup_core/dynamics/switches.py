@@ -21,7 +21,7 @@ import math
 import numpy as np
 
 from liegroup_core.compiling import kernel
-from liegroup_core.forces.turn import unwrapped
+from liegroup_core.forces.axis import unwrapped
 from liegroup_core.mechanism.arrays import COORDINATE, EFFORT, KNOWN, RESTS, SIDE, SLIP
 
 from .coordinates import lift_links, place_links

@@ -11,12 +11,12 @@ from liegroup_core.fields.values import Described, Name
 class Force(Described):
     """Force of a scene: between two bodies (`parent`, `child`), at a joint or on one body.
 
-    counts_turns : True if the angle of its joint is unwrapped (see turn.py)
-    joint_moves  : motion about or along z that its joint must allow: "turns", "slides" or None
+    joint_moves : motion about or along z that its joint must allow: "turns", "slides" or None
+    group       : of a force with such a joint, that of its power: "dampers", "motors" or "servos"
     """
 
-    counts_turns: ClassVar = False
     joint_moves: ClassVar = None
+    group: ClassVar = None
     name: Name = Field(description="name, unique among joints and forces")
     type: str
 

@@ -40,8 +40,8 @@ class Drag(Force):
     angular_quadratic: NotNegative = Field(0.0, description="quadratic rotational drag in N m s^2/rad^2, not negative")
 
 
-def make_row(drag, index, ends):
-    """Record of a Drag; arguments as in kinds.make_forces."""
+def make_row(drag, index):
+    """Record of a Drag; index as in kinds.make_forces."""
     return (index[drag.body], drag.linear, drag.quadratic, drag.angular, drag.angular_quadratic)
 
 
@@ -83,7 +83,7 @@ def power(rows, twist):
 
 @kernel
 def add_change(rows, twist, rates, wrench_out):
-    """Add the changes of the wrenches with the twists, see changes.py."""
+    """Add the changes of the wrenches with the twists, see kinds.add_changes."""
     for e in range(len(rows)):
         row = rows[e]
         body = row["body"]

@@ -101,7 +101,7 @@ def parts_of_wrench(wrench, axes, point):
 
 @kernel
 def set_changes(external, more, at, pose, moves, wrench_out):
-    """Write the changes of the external wrenches along displacements, see changes.py, to wrench_out (n, 6).
+    """Write the changes of the external wrenches along displacements, see kinds.add_changes, to wrench_out (n, 6).
 
     more : changes of their columns in body axes, from row `at` on
     """

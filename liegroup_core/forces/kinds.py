@@ -2,46 +2,29 @@
 """All kinds of forces, and their sums.
 
 A kind is a file with
-    a class                 the force in a scene; its `type` is the name of the kind. If forces of this
-                            kind can be conservative, it overrides `is_conservative`
+    classes                 forces in a scene. If forces of a class can be conservative, it overrides `is_conservative`
     ROW                     record of one force for kernels
     make_row(force, ...)    makes this record from a force of the scene
     add_wrench(rows, ...)   adds wrenches in body axes about the centre of mass
-    add_change(rows, ...)   adds their derivatives along displacements of the bodies, see changes.py
+    add_change(rows, ...)   adds their derivatives along displacements of the bodies, see `add_changes`
     energy(rows, ...)       potential energy, J; omitted for forces without a potential
     power(rows, ...)        power of the part without a potential, W; omitted if there is none
-and its lines below: import, __all__, FORCES and Forces in the same order, add_wrenches, energy,
-powers. A scene without forces of a kind has zero rows of this kind, so that all scenes share the same
-compiled code. test/contract/test_forces.py tests every kind. Gravity acts on all bodies and is separate
+and its lines below: import, __all__, FORCES, Forces, make_forces, add_wrenches, add_changes, energy, powers. All forces
+about or along the axis of a joint are one kind (joint_law.py): another one only needs a class with its law.
+A scene without forces of a kind has zero rows of this kind, so that all scenes share the same
+compiled code. test/contract/test_forces.py tests every class. Gravity acts on all bodies and is separate
 (gravity.py).
 """
-
-import sys
 
 import numpy as np
 
 from liegroup_core.compiling import Struct, borrowed, kernel, shared
 
-from . import (
-    drag,
-    linear_motor,
-    linear_servo,
-    linear_spring_damper,
-    motor,
-    servo,
-    spring_damper,
-    torsional_spring_damper,
-    turn,
-)
+from . import axis, drag, joint_law, spring_damper
 from .applied_wrench import ConstantWrench
 from .drag import Drag
-from .linear_motor import LinearMotor
-from .linear_servo import LinearServo
-from .linear_spring_damper import LinearSpringDamper
-from .motor import Motor
-from .servo import Servo
+from .joint_law import LinearMotor, LinearServo, LinearSpringDamper, Motor, Servo, TorsionalSpringDamper
 from .spring_damper import SpringDamper
-from .torsional_spring_damper import TorsionalSpringDamper
 
 __all__ = [
     "ConstantWrench",
@@ -55,7 +38,7 @@ __all__ = [
     "TorsionalSpringDamper",
 ]
 
-# Classes of a scene, in the order of Forces.
+# Classes of a scene. Joint laws act in this order.
 FORCES = (
     SpringDamper,
     TorsionalSpringDamper,
@@ -67,69 +50,75 @@ FORCES = (
     Drag,
     ConstantWrench,
 )
-POWERS = ("dampers", "motors", "servos", "drag")  # groups of kinds in `powers`
-# All but ConstantWrench, which is a command.
-KINDS = {cls.model_fields["type"].default: sys.modules[cls.__module__] for cls in FORCES[:-1]}
+POWERS = (*joint_law.GROUPS, "drag")  # groups of forces in `powers`
 
 
 class Forces(Struct):
-    """Forces of a scene: (k,) of ROW of each kind, in the order of the scene."""
+    """Forces of a scene: (k,) of ROW of each kind."""
 
     spring_damper: np.ndarray
-    torsional_spring_damper: np.ndarray
-    linear_spring_damper: np.ndarray
-    motor: np.ndarray
-    linear_motor: np.ndarray
-    servo: np.ndarray
-    linear_servo: np.ndarray
+    joint_law: np.ndarray  # in the order of `joint_laws`
     drag: np.ndarray
-    counted: np.ndarray  # springs without stiffness that count the turns of joints: those of couplings, then of servos
-    exist: bool  # True if there are forces other than `counted`
+    counted: np.ndarray  # (k,) of axis.ROW: joints whose angle is unwrapped
+    exist: bool  # True if there are forces
 
 
-def make_forces(described, index, ends, counted=()):
+def make_forces(described, index, ends, counted):
     """Rows of the forces of a scene.
 
     described : the scene's forces
     index     : {body name: body index, "world": WORLD}
     ends      : {joint name: (parent's index, child's index, parent frame, child frame)}
-    counted   : names of joints whose angle is unwrapped for a coupling
+    counted   : [(joint, force or coupling)] of `unwrapped`
     """
-    servos = [force.joint for force in described if force.type == "servo"]
+    angles = {name: i for i, (_, name) in enumerate(counted)}
+    targets = {servo.name: i for i, servo in enumerate(servos(described))}
+    laws = [
+        joint_law.make_row(force, ends, angles.get(force.name, -1), targets.get(force.name, -1))
+        for force in joint_laws(described)
+    ]
+
+    def rows(module, cls):
+        found = [module.make_row(force, index) for force in described if isinstance(force, cls)]
+        return np.array(found, dtype=module.ROW)
+
     return Forces(
-        **{
-            kind: np.array(
-                [module.make_row(force, index, ends) for force in described if force.type == kind], dtype=module.ROW
-            )
-            for kind, module in KINDS.items()
-        },
-        counted=np.array(
-            [(*turn.fields(*ends[joint]), 0.0, 0.0, 0.0) for joint in [*counted, *servos]],
-            dtype=torsional_spring_damper.ROW,
-        ),
-        exist=any(force.type in KINDS for force in described),
+        spring_damper=rows(spring_damper, SpringDamper),
+        joint_law=np.array(laws, dtype=joint_law.ROW),
+        drag=rows(drag, Drag),
+        counted=np.array([axis.fields(False, *ends[joint]) for joint, _ in counted], dtype=axis.ROW),
+        exist=any(not isinstance(force, ConstantWrench) for force in described),
     )
+
+
+def joint_laws(described):
+    """Forces of a scene about or along the axis of a joint, in the order in which they act."""
+    return sorted((force for force in described if force.joint_moves), key=lambda force: FORCES.index(type(force)))
 
 
 def servos(described):
     """Servos among the forces of a scene, in the order of their target values."""
-    return [force for kind in ("servo", "linear_servo") for force in described if force.type == kind]
+    return [force for force in joint_laws(described) if force.group == "servos"]
+
+
+def unwrapped(described, coupled=()):
+    """[(joint, name of a force or coupling)] of each unwrapped angle; coupled: those of couplings and drives."""
+
+    def named(kind):
+        return [(force.joint, force.name) for force in described if force.type == kind]
+
+    return [*named("torsional_spring_damper"), *coupled, *named("servo")]
 
 
 def target_values(forces):
     """Target position and velocity (k, 2) of all servos without a command."""
-    rows = [(row["position"], row["velocity"]) for row in (*forces.servo, *forces.linear_servo)]
-    return np.array(rows, dtype=float).reshape(-1, 2)
-
-
-def limits(forces):
-    """Effort limits (k,) of all servos."""
-    return np.concatenate([forces.servo["limit"], forces.linear_servo["limit"]])
+    rows = forces.joint_law[forces.joint_law["target"] >= 0]
+    return np.array(rows[["position", "velocity"]].tolist(), dtype=float).reshape(-1, 2)
 
 
 def count_of_angles(forces):
     """Number of unwrapped joint angles: those of torsional springs, of couplings, of servos."""
-    return len(forces.torsional_spring_damper) + len(forces.counted)
+    return len(forces.counted)
 
 
 @kernel
@@ -147,32 +136,23 @@ def add_wrenches(forces, angle, targets, pose, twist, wrench_out):
 @shared
 def _add_wrenches(forces, angle, targets, pose, twist, wrench_out):
     spring_damper.add_wrench(forces.spring_damper, pose, twist, wrench_out)
-    torsional_spring_damper.add_wrench(forces.torsional_spring_damper, angle, pose, twist, wrench_out)
-    linear_spring_damper.add_wrench(forces.linear_spring_damper, pose, twist, wrench_out)
-    motor.add_wrench(forces.motor, pose, twist, wrench_out)
-    linear_motor.add_wrench(forces.linear_motor, pose, twist, wrench_out)
-    servo.add_wrench(forces.servo, angle, targets, pose, twist, wrench_out)
-    linear_servo.add_wrench(forces.linear_servo, targets, pose, twist, wrench_out)
+    joint_law.add_wrench(forces.joint_law, angle, targets, pose, twist, wrench_out)
     drag.add_wrench(forces.drag, twist, wrench_out)
     return 0
 
 
 @shared
 def add_changes(forces, angle, targets, pose, twist, moves, rates, shifts, at, wrench_out):
-    """Add the derivatives of the wrenches along displacements, and changes of twists and targets: see changes.py.
+    """Add the derivatives of the wrenches along displacements, and changes of twists and targets.
 
+    moves (n, 6) : displacement of every body, X exp(s moves), in its axes;  rates (n, 6) : change of its twist
     shifts : changes of the targets of all servos, from row `at` on
     """
     angle, targets = borrowed(angle), borrowed(targets)
     pose, twist, moves, rates = borrowed(pose), borrowed(twist), borrowed(moves), borrowed(rates)
     shifts, wrench_out = borrowed(shifts), borrowed(wrench_out)
     spring_damper.add_change(forces.spring_damper, pose, twist, moves, rates, wrench_out)
-    torsional_spring_damper.add_change(forces.torsional_spring_damper, angle, pose, twist, moves, rates, wrench_out)
-    linear_spring_damper.add_change(forces.linear_spring_damper, pose, twist, moves, rates, wrench_out)
-    motor.add_change(forces.motor, pose, twist, moves, rates, wrench_out)
-    linear_motor.add_change(forces.linear_motor, pose, twist, moves, rates, wrench_out)
-    servo.add_change(forces.servo, angle, targets, pose, twist, moves, rates, shifts, at, wrench_out)
-    linear_servo.add_change(forces.linear_servo, targets, pose, twist, moves, rates, shifts, at, wrench_out)
+    joint_law.add_change(forces.joint_law, angle, targets, pose, twist, moves, rates, shifts, at, wrench_out)
     drag.add_change(forces.drag, twist, rates, wrench_out)
     return 0
 
@@ -180,23 +160,17 @@ def add_changes(forces, angle, targets, pose, twist, moves, rates, shifts, at, w
 @kernel
 def energy(forces, angle, pose):
     """Potential energy of all forces, J."""
-    return (
-        spring_damper.energy(forces.spring_damper, pose)
-        + torsional_spring_damper.energy(forces.torsional_spring_damper, angle, pose)
-        + linear_spring_damper.energy(forces.linear_spring_damper, pose)
-    )
+    return spring_damper.energy(forces.spring_damper, pose) + joint_law.energy(forces.joint_law, angle, pose)
 
 
 @kernel
 def powers(forces, angle, targets, pose, twist):
     """Powers of the non-conservative forces by POWERS, W."""
+    dampers, motors, servos = joint_law.powers(forces.joint_law, angle, targets, pose, twist)
     return (
-        spring_damper.power(forces.spring_damper, pose, twist)
-        + torsional_spring_damper.power(forces.torsional_spring_damper, pose, twist)
-        + linear_spring_damper.power(forces.linear_spring_damper, pose, twist),
-        motor.power(forces.motor, pose, twist) + linear_motor.power(forces.linear_motor, pose, twist),
-        servo.power(forces.servo, angle, targets, pose, twist)
-        + linear_servo.power(forces.linear_servo, targets, pose, twist),
+        spring_damper.power(forces.spring_damper, pose, twist) + dampers,
+        motors,
+        servos,
         drag.power(forces.drag, twist),
     )
 
@@ -209,10 +183,9 @@ def power(forces, angle, targets, pose, twist):
 
 
 @kernel
-def servo_efforts(forces, angle, targets, pose, twist, out):
-    """Write effort and rate of each servo to out (k, 2); arguments as for `add_wrenches`."""
-    servo.efforts(forces.servo, angle, targets, pose, twist, out)
-    linear_servo.efforts(forces.linear_servo, targets, pose, twist, out)
+def efforts(forces, angle, targets, pose, twist, out):
+    """Write the efforts of the joint laws, N m or N, to out (k,); arguments as for `add_wrenches`."""
+    joint_law.efforts(forces.joint_law, angle, targets, pose, twist, out)
 
 
 @kernel
@@ -221,16 +194,10 @@ def too_fast(forces, h, pose, twist):
 
     pose, twist : at the end of the step
     """
-    found = turn.too_fast(forces.torsional_spring_damper, h, pose, twist)
-    if found < 0 and len(forces.counted) > 0:
-        found = turn.too_fast(forces.counted, h, pose, twist)
-        if found >= 0:
-            found += len(forces.torsional_spring_damper)
-    return found
+    return axis.too_fast(forces.counted, h, pose, twist)
 
 
 @kernel
 def count_turns(forces, pose, angle):
     """Unwrap the angles (k,) at the end of a step, in which they changed by less than pi."""
-    turn.count_turns(forces.torsional_spring_damper, pose, angle, 0)
-    turn.count_turns(forces.counted, pose, angle, len(forces.torsional_spring_damper))
+    axis.count_turns(forces.counted, pose, angle)

@@ -5,10 +5,9 @@ import numpy as np
 
 from liegroup_core.compiling import kernel
 
-from . import slide, turn
+from . import axis
 
-# Those of a joint that turns and one that slides; parent and child are the same.
-ROW = np.dtype([("inertia", "f8"), ("slides", "i8"), *turn.FIELDS, *slide.FIELDS[2:]], align=True)
+ROW = np.dtype([("inertia", "f8"), *axis.FIELDS], align=True)
 
 
 def rows(joints, frames, index):
@@ -17,8 +16,7 @@ def rows(joints, frames, index):
     for joint, (F_a, F_b) in zip(joints, frames):
         if joint.rotor:
             ends = index[joint.parent], index[joint.child], F_a, F_b
-            slides = joint.type == "prismatic"
-            found.append((joint.rotor_inertia, slides, *turn.fields(*ends), *slide.fields(*ends)[2:]))
+            found.append((joint.rotor_inertia, *axis.fields(joint.type == "prismatic", *ends)))
     return np.array(found, dtype=ROW)
 
 
@@ -28,9 +26,6 @@ def energy(rotors, pose, twist):
     total = 0.0
     for e in range(len(rotors)):
         row = rotors[e]
-        if row["slides"] == 1:
-            rate = slide.rate(row, pose, twist)
-        else:
-            rate = turn.rate(row, pose, twist, turn.axis(row, pose))
+        rate = axis.rate(row, axis.unit_wrenches(row, pose), twist)
         total += 0.5 * row["inertia"] * rate * rate
     return total

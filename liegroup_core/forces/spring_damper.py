@@ -15,11 +15,10 @@ from pydantic import Field
 
 from liegroup_core.compiling import kernel
 from liegroup_core.fields.values import NotNegative, Text, Vector3
-from liegroup_core.lie.vec3 import axpy3, dot3, scale3, sub3, vector3
+from liegroup_core.lie.vec3 import add3, axpy3, cross3, dot3, scale3, sub3, vector3
 
-from .changes import apply_change_of_force, change_of_velocity, shift, stay
 from .described import Force
-from .points import apply_force, point, point_velocity
+from .points import apply_force, point, point_velocity, stay, turning
 
 ROW = np.dtype(
     [
@@ -53,8 +52,8 @@ class SpringDamper(Force):
         return self.damping == 0.0
 
 
-def make_row(spring, index, ends):
-    """Record of a SpringDamper; arguments as in kinds.make_forces."""
+def make_row(spring, index):
+    """Record of a SpringDamper; index as in kinds.make_forces."""
     return (
         index[spring.parent],
         index[spring.child],
@@ -129,13 +128,14 @@ def power(rows, pose, twist):
 
 @kernel
 def add_change(rows, pose, twist, moves, rates, wrench_out):
-    """Add the changes of the wrenches along displacements, see changes.py."""
+    """Add the changes of the wrenches along displacements, see kinds.add_changes."""
     for e in range(len(rows)):
         row = rows[e]
         if stay(moves, rates, row["parent"], row["child"]):
             continue
         a, b, at_a, at_b = row["parent"], row["child"], vector3(row["parent_point"]), vector3(row["child_point"])
-        d, moved = _line(row, pose), sub3(shift(pose, moves, b, at_b), shift(pose, moves, a, at_a))
+        turn_a, turn_b = turning(pose, moves, a), turning(pose, moves, b)
+        d, moved = _line(row, pose), _line_rate(row, pose, moves)
         factor, change = row["stiffness"], 0.0
         length = math.sqrt(dot3(d, d))
         if length > 0.0:
@@ -144,14 +144,13 @@ def add_change(rows, pose, twist, moves, rates, wrench_out):
             change += row["stiffness"] * row["rest_length"] * longer / (length * length)
             if row["damping"] > 0.0:
                 ddot = _line_rate(row, pose, twist)
-                faster = sub3(
-                    change_of_velocity(pose, twist, moves, rates, b, at_b),
-                    change_of_velocity(pose, twist, moves, rates, a, at_a),
-                )
+                faster = add3(_line_rate(row, pose, rates), cross3(turn_b, point_velocity(pose, twist, b, at_b)))
+                faster = sub3(faster, cross3(turn_a, point_velocity(pose, twist, a, at_a)))
                 along = dot3(d, ddot) / length
                 factor += row["damping"] * along / length
                 along = dot3(moved, ddot) + dot3(d, faster) - 2.0 * along * longer
                 change += row["damping"] * along / (length * length)
         force, dF = scale3(-factor, d), axpy3(-change, d, scale3(-factor, moved))
-        apply_change_of_force(pose, moves, b, at_b, force, dF, wrench_out)
-        apply_change_of_force(pose, moves, a, at_a, scale3(-1.0, force), scale3(-1.0, dF), wrench_out)
+        # The forces are constant in world axes but for dF, and the bodies turn.
+        apply_force(pose, b, at_b, sub3(dF, cross3(turn_b, force)), wrench_out)
+        apply_force(pose, a, at_a, sub3(cross3(turn_a, force), dF), wrench_out)

@@ -9,7 +9,7 @@ it does no work. Its row acts on the rates of the spanning tree, see dynamics/co
 bodies have no such row.
 
 Poses determine angles modulo 2 pi. Those of all but `joint` are unwrapped like that of a torsional spring
-(forces/turn.py). The turns of `joint` follow from the relation; with backlash its angle is unwrapped, too.
+(forces/axis.py). The turns of `joint` follow from the relation; with backlash its angle is unwrapped, too.
 """
 
 import math

@@ -17,8 +17,8 @@ J (V_b - X V_a) of a cut joint sees the displacement kappa = X eta_a - eta_b of 
 X V_a]. The residuals that result are those of the sweeps in residuals.py, and are solved with the factors that the
 accelerations of the state have left, and are refined as those: O(n) for a direction, no factor is computed again.
 
-Forces have their own derivatives (forces/changes.py). Of rows other than pairs, functions of the pose of a cut joint,
-differences of order six are taken (differences.py).
+Forces have their own derivatives (`add_changes` of forces/kinds.py). Of rows other than pairs, functions of the pose of
+a cut joint, differences of order six are taken (differences.py).
 """
 
 import numpy as np

@@ -95,10 +95,7 @@ def _solved_inertia(i, body, elements):
 def _forces(scene, index, frames):
     """Forces of the scene as rows of every kind."""
     ends = {joint.name: (index[joint.parent], index[joint.child], *pair) for joint, pair in zip(scene.joints, frames)}
-    springs = sum(force.counts_turns for force in scene.forces)
-    servos = sum(force.type == "servo" for force in scene.forces)
-    counted = [joint for joint, _ in scene.unwrapped[springs : len(scene.unwrapped) - servos]]
-    return make_forces(scene.forces, index, ends, counted)
+    return make_forces(scene.forces, index, ends, scene.unwrapped)
 
 
 def refinements(bodies, inertias, ends, elements):

@@ -43,7 +43,7 @@ def relative_model(scene, model, in_space=False, group=None):
     stops = stop_rows(scene, links)
     cut, rows = cut_rows(scene, frames, parts, tree, links, places, stops, coupled)
     elements = cut_elements(scene, frames, cut, places, coupled)
-    springs = sum(force.counts_turns for force in scene.forces)
+    springs = sum(force.type == "torsional_spring_damper" for force in scene.forces)
     loops = None
     if group is not None:
         loops = loop_joints([(joint.parent, joint.child) for joint in scene.joints])

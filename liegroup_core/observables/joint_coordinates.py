@@ -14,7 +14,7 @@ import math
 import numpy as np
 
 from liegroup_core.compiling import SameTypes, kernel
-from liegroup_core.forces.turn import unwrapped
+from liegroup_core.forces.axis import unwrapped
 from liegroup_core.joints.kinds import TYPES
 from liegroup_core.lie.groups import within_a_turn
 from liegroup_core.lie.vec3 import ZERO3, add3, cross3, dot3, load3, load9, matmul3, matvec3, sub3, tmatmul3

@@ -20,7 +20,7 @@ from liegroup_core.dynamics.reactions import copy_modes, impulse_wrenches, joint
 from liegroup_core.dynamics.switches import set_modes
 from liegroup_core.errors import SimulationError
 from liegroup_core.forces.external import no_wrenches
-from liegroup_core.forces.kinds import limits
+from liegroup_core.forces.kinds import efforts
 from liegroup_core.joints import motion
 from liegroup_core.joints.kinds import TYPES, forbidden_rows
 from liegroup_core.joints.linkage import RANK_TOLERANCE, Linkage
@@ -69,7 +69,6 @@ class Reactions:
     """
 
     def __init__(self, layout):
-        self._forces = layout.joint_forces
         self._bodies = layout.body_names
         self.names = tuple(joint.name for joint in layout.scene.joints)
         self._model, self._layout = layout.relative_in_space, layout
@@ -102,8 +101,9 @@ class Reactions:
         """Compile the kernels and analyse the linkage, with the initial state of the scene."""
         pose, twist = initial_state(self._scene)
         _ = self.present
-        forces, angles = self._model.space.forces, np.zeros(len(self._work.angle))
-        self._forces.at(forces, angles, pose, twist, np.zeros(len(limits(forces))))
+        if self._layout.joint_forces:
+            out, targets = np.zeros(len(self._layout.joint_forces)), self._layout.targets
+            efforts(self._model.space.forces, np.zeros(len(self._work.angle)), targets, pose, twist, out)
 
     @cached_property
     def _table(self):

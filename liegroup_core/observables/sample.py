@@ -284,9 +284,11 @@ class Sample:
         These are the springs, dampers, motors and servos of the scene at joints. Commanded efforts are in
         `joint_efforts`.
         """
-        forces = self._layout.model.forces
-        efforts = self._servo_efforts[:, 0]
-        return self._layout.joint_forces.at(forces, self.angles, *self._state, efforts)
+        layout, out = self._layout, np.zeros(len(self._layout.joint_forces))
+        if len(out):
+            kinds.efforts(layout.model.forces, self.angles, self.acting.targets, *self._state, out)
+        found = {force.name: effort for force, effort in zip(kinds.joint_laws(self.scene.forces), out.tolist())}
+        return {name: found[name] for name in layout.joint_forces}
 
     @cached_property
     def transmitted(self) -> dict[str, NDArray[np.float64]]:
@@ -296,9 +298,8 @@ class Sample:
         joint and its child measures it.
         """
         found = {joint: wrench.copy() for joint, wrench in self.reactions.items()}
-        placed = self._layout.joint_forces
-        for force, effort in self.force_efforts.items():
-            found[placed.joints[force]][2 if placed.turns[force] else 5] += effort
+        for force, effort in zip(self._layout.joint_forces.values(), self.force_efforts.values()):
+            found[force.joint][2 if force.joint_moves == "turns" else 5] += effort
         units = self._layout.coordinates.units
         for joint, effort in self.joint_efforts.items():
             found[joint][2 if units[joint] == "rad" else 5] += effort
@@ -347,18 +348,9 @@ class Sample:
         return self._layout.reactions.reasons(self._reactions[1])
 
     @cached_property
-    def _servo_efforts(self):
-        """(k, 2) effort and rate of each servo."""
-        out = np.zeros((len(self._layout.servos), 2))
-        if len(out):
-            forces = self._layout.model.forces
-            kinds.servo_efforts(forces, self.angles, self.acting.targets, *self._state, out)
-        return out
-
-    @cached_property
     def servo_efforts(self) -> dict[str, float]:
         """{joint: effort of its servo}, N m or N, within its limit."""
-        return dict(zip(self._layout.servos, self._servo_efforts[:, 0].tolist()))
+        return {servo.joint: self.force_efforts[servo.name] for servo in kinds.servos(self.scene.forces)}
 
     @property
     def all_efforts(self) -> dict[str, float]:
@@ -375,8 +367,7 @@ class Sample:
         Joints at which nothing acts are not in it. Friction and stops are not included.
         """
         efforts = {**self.joint_efforts}
-        placed = self._layout.joint_forces.joints if self._layout.joint_forces.names else {}
-        found = ((joint, self.force_efforts[force]) for force, joint in placed.items())
+        found = ((force.joint, self.force_efforts[name]) for name, force in self._layout.joint_forces.items())
         for joint, effort in (*self.drive_efforts.items(), *found):
             efforts[joint] = efforts.get(joint, 0.0) + effort
         return efforts
@@ -384,8 +375,8 @@ class Sample:
     @cached_property
     def saturated(self) -> tuple[str, ...]:
         """Joints whose servo is at its effort limit."""
-        at_limit = np.abs(self._servo_efforts[:, 0]) >= kinds.limits(self._layout.model.forces)
-        return tuple(joint for joint, is_at in zip(self._layout.servos, at_limit) if is_at)
+        limits = (servo.effort_limit or math.inf for servo in kinds.servos(self.scene.forces))
+        return tuple(joint for (joint, effort), most in zip(self.servo_efforts.items(), limits) if abs(effort) >= most)
 
     @property
     def prescribed(self) -> dict[str, tuple[float, float, float]]:

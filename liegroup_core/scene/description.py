@@ -193,12 +193,10 @@ class Scene(Described):
 
     @property
     def unwrapped(self):
-        """[(joint, force or coupling)]: names for each unwrapped angle; see forces/turn.py."""
+        """[(joint, force or coupling)]: names for each unwrapped angle; see forces/axis.py."""
         types = {joint.name: joint.type for joint in self.joints}
-        springs = [(force.joint, force.name) for force in self.forces if force.counts_turns]
         coupled = [(name, e.name) for e in self.couplings for name in e.counted if TYPES[types[name]].turns]
-        servos = [(force.joint, force.name) for force in self.forces if force.type == "servo"]
-        return springs + coupled + servos
+        return force_kinds.unwrapped(self.forces, coupled)
 
     @property
     def robot(self):

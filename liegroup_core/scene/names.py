@@ -88,7 +88,7 @@ def refuse_two_servos(forces):
     """Refuse a second servo at a joint, because commands address servos by their joint."""
     first = {}
     for i, force in enumerate(forces):
-        if force.type not in ("servo", "linear_servo"):
+        if force.group != "servos":
             continue
         if force.joint in first:
             raise SceneError(
@@ -113,7 +113,7 @@ def refuse_motion(joint, forces, i):
             place=place,
         )
     for force in forces:
-        if force.type in ("servo", "linear_servo") and force.joint == joint.name:
+        if force.group == "servos" and force.joint == joint.name:
             raise SceneError(
                 f'joints[{i}] "{joint.name}": a driven joint cannot have the servo "{force.name}": keep one of them',
                 place=place,

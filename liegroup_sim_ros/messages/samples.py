@@ -141,7 +141,7 @@ def reactions(layout, world_frame, frame_prefix=""):
     or force with the name of a body has ~/NAME_reaction/wrench. Raises ValueError if that is taken, too.
     """
     joints, forces = [joint.name for joint in layout.scene.joints], layout.joint_forces
-    labels = _labels(layout, (*joints, *forces.names))
+    labels = _labels(layout, (*joints, *forces))
     taken = {*layout.body_names, *labels, *(sensor.name for sensor in layout.scene.sensors)}
     for name, label in labels.items():
         if label != name and label in taken:
@@ -155,12 +155,12 @@ def reactions(layout, world_frame, frame_prefix=""):
         return lambda stamp_ns, sample: codec.encode(stamp_ns, sample.reactions[name])
 
     def of_force(name):
-        codec = WrenchStampedCodec(f"{frame_prefix}{forces.joints[name]}{REACTION}")
-        before, after = ((0.0,) * k for k in ((2, 3) if forces.turns[name] else (5, 0)))
+        codec = WrenchStampedCodec(f"{frame_prefix}{forces[name].joint}{REACTION}")
+        before, after = ((0.0,) * k for k in ((2, 3) if forces[name].joint_moves == "turns" else (5, 0)))
         return lambda stamp_ns, sample: codec.encode(stamp_ns, (*before, sample.force_efforts[name], *after))
 
     encoders = {name: of_joint(name) for name in joints}
-    encoders |= {name: of_force(name) for name in forces.names}
+    encoders |= {name: of_force(name) for name in forces}
     return [(f"~/{labels[name]}/wrench", WrenchStampedCodec.TYPE, encode) for name, encode in encoders.items()]
 
 

@@ -58,7 +58,7 @@ class ArrayFile:
         if reactions:
             names = (
                 ("joints", joint_names(simulation)),
-                ("forces", layout.joint_forces.names),
+                ("forces", [*layout.joint_forces]),
                 ("driven", [*layout.motions]),
             )
             self._names = {key: np.array(some) for key, some in names if some or key != "driven"}
