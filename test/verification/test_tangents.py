@@ -23,7 +23,7 @@ from precise import NearlySingular
 
 from liegroup_core import Simulation
 from liegroup_core.errors import SimulationError
-from liegroup_core.forces.kinds import KINDS
+from liegroup_core.forces.kinds import FORCES
 from liegroup_core.joints.kinds import COORDINATES
 from liegroup_core.joints.stops import BACKLASH
 from liegroup_core.linear import linearise
@@ -213,7 +213,7 @@ def combined(switches, rng, count):
 def test_every_force_and_every_switch_has_derivatives_in_every_mode():
     """A new type of force or of coordinate with stops is missing here until EVERY_SWITCH has it."""
     scene = scene_from_text(EVERY_SWITCH, "test")
-    assert {force.type for force in scene.forces} == {*KINDS, "applied_wrench"}
+    assert {force.type for force in scene.forces} == {cls.model_fields["type"].default for cls in FORCES}
     simulation = Simulation(scene, "rkmk4", 1e-5, estimate=False, quiet=True)
     switches = simulation.layout.switches
     assert {switch.kind for switch in switches} == {*COORDINATES, BACKLASH}
