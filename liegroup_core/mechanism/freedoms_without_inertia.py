@@ -19,6 +19,8 @@ from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.groups import SE3
 from liegroup_core.scene.massless import axes_without_inertia, written
 
+from .links import in_general_position
+
 # Sine of the angle between a degree of freedom and those that move no inertia (for a point mass on a hinge: that
 # between the axis and the line to the mass). D is a difference of moments of inertia, and its ratio to them is the
 # square of the sine: below 1e-14 no digit of D is correct. Round-off of a pose gives a sine of 1e-15.
@@ -36,7 +38,7 @@ def check_inertia(scene, links, places, world):
     if found is None:
         return
     # At poses in general position it may have inertia, for example a rod on a universal joint.
-    always = _free_turns(scene, links, places, _generic(links)) is not None
+    always = _free_turns(scene, links, places, in_general_position(links, np.random.default_rng(3))) is not None
     raise _refusal(scene, links, places, world, *found, always)
 
 
@@ -100,17 +102,6 @@ def _path(links, i):
         path.append(i)
         i = links[i].parent
     return path
-
-
-def _generic(links):
-    """Poses (4, 4) of all links in the world, for coordinates in general position."""
-    rng = np.random.default_rng(3)
-    world = {WORLD: np.eye(4)}
-    for i, link in enumerate(links):
-        S = link.directions()
-        X = SE3.exp(S @ rng.uniform(0.3, 1.0, size=S.shape[1]))
-        world[i] = world[link.parent] @ link.placement @ X
-    return world
 
 
 def _refusal(scene, links, places, world, i, turns, always):

@@ -196,6 +196,18 @@ def link_records(scene, links, index):
     return np.array(records, dtype=LINK)
 
 
+def in_general_position(links, rng, size=1.0):
+    """{link or WORLD: pose (4, 4) in the world} at random coordinates; size: m, of displacements of floating links."""
+    world = {WORLD: np.eye(4)}
+    for i, link in enumerate(links):
+        S = link.directions()
+        X = SE3.exp(S @ rng.uniform(0.3, 1.0, size=S.shape[1]))
+        if link.joint is None:
+            X[:3, 3] *= size
+        world[i] = world[link.parent] @ link.placement @ X
+    return world
+
+
 def link_poses(links, needed, poses):
     """{link: (4, 4)} in the world, from poses of the bodies."""
 

@@ -46,6 +46,8 @@ from liegroup_core.scene.consistency import resolve_elements, resolve_frames
 from liegroup_core.scene.description import WORLD
 
 from .body_model import build_model
+from .links import find_links, in_general_position
+from .spanning_tree import spanning_tree
 
 # More poses than unknowns. Each is generic with probability one; the seed is fixed.
 POSES = 12
@@ -88,10 +90,9 @@ def conserved_momentum(scene):
     _, scene = ready(scene)
     model, *_ = build_model(scene)
     frames = resolve_frames(scene)
-    forbidden, transmitted = _rows(scene)
-    rng = np.random.default_rng(6)
-    size = _size(scene, frames)
-    drawn = [_generic_pose(scene, frames, forbidden, size, rng) for _ in range(POSES)]
+    transmitted = _rows(scene)
+    size, rng = _size(scene, frames), np.random.default_rng(6)
+    drawn = list(_generic_poses(scene, frames, size))
     wrenches = np.array([_outer_wrenches(scene, model, pose, rng) for pose in drawn])  # (POSES, n, 6)
     kept = []
     for group in body_groups(scene):
@@ -219,42 +220,27 @@ def _reactions(scene, frames, transmitted, group):
 
 
 def _rows(scene):
-    """A (k, 6) of every joint, 0 if it is not a lower pair; and the wrenches (k, 6) that it transmits, as its rows."""
+    """Wrenches (k, 6) that every joint transmits, as rows."""
     coupled = {name for coupling in scene.couplings for name in (coupling.joint, *coupling.others)}
-    forbidden, transmitted = [], []
+    transmitted = []
     for joint, elements in zip(scene.joints, resolve_elements(scene)):
         is_pair = len(elements) == 1 and elements[0].kind == PAIR
-        forbidden.append(elements[0].forbidden if is_pair else np.zeros((1, 6)))
         bears = joint.driven or joint.switches or joint.rotor or joint.name in coupled
         if isinstance(joint, (CableJoint, DistanceJoint)):
             transmitted.append(np.eye(6)[3:])
         else:
             transmitted.append(elements[0].forbidden if is_pair and not bears else np.eye(6))
-    return forbidden, transmitted
+    return transmitted
 
 
-def _generic_pose(scene, frames, forbidden, size, rng):
-    """Pose (n, 12) with every joint of a spanning tree moved at random in its free directions."""
-    joints = list(zip(scene.joints, frames, forbidden))
-    waiting = [body.name for body in scene.bodies]
-    placed = {WORLD: np.eye(4)}
-    while waiting:
-        for joint, (F_a, F_b), A in joints:
-            if (joint.parent in placed) == (joint.child in placed):
-                continue
-            free = scipy.linalg.null_space(A)
-            moved = F_a @ SE3.exp(free @ rng.normal(size=free.shape[1])) @ SE3.inverse(F_b)
-            if joint.parent in placed:
-                placed[joint.child] = placed[joint.parent] @ moved
-            else:
-                placed[joint.parent] = placed[joint.child] @ SE3.inverse(moved)
-            break
-        else:  # no joint leads to a placed body from the others: place one of them freely
-            name = next(name for name in waiting if name not in placed)
-            placed[name] = SE3.exp(np.concatenate([rng.normal(size=3), size * rng.normal(size=3)]))
-        waiting = [name for name in waiting if name not in placed]
-    poses = np.array([placed[body.name] for body in scene.bodies])
-    return np.concatenate([poses[:, :3, :3].reshape(-1, 9), poses[:, :3, 3]], axis=1)
+def _generic_poses(scene, frames, size):
+    """POSES poses (n, 12) of the bodies, with the links of the spanning tree in general position."""
+    links, places = find_links(scene, frames, spanning_tree(scene), None)
+    rng = np.random.default_rng(6)
+    for _ in range(POSES):
+        world = in_general_position(links, rng, size)
+        poses = np.array([world[link] @ place for link, place in (places[body.name] for body in scene.bodies)])
+        yield np.concatenate([poses[:, :3, :3].reshape(-1, 9), poses[:, :3, 3]], axis=1)
 
 
 def body_groups(scene):

@@ -42,11 +42,6 @@ SPINNER = np.dtype(
     align=True,
 )
 
-# Columns of the memory of a step, per body: three of each, nine of Q. LINEAR, VELOCITY and PLACE
-# are the present values of m R v, w and r at the end of the step.
-TURN, MOMENTUM, TORQUE, FORCE, LINEAR, VELOCITY, PLACE, Q = 0, 3, 6, 9, 12, 15, 18, 21
-COLUMNS = 30
-
 
 @kernel
 def place(spinner, i, rot, w, r, linear, pose_out, twist_out):
