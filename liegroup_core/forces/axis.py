@@ -94,12 +94,16 @@ def _place(row, pose):
 
 
 @kernel
+def displacement(row, pose):
+    """Displacement of the child's joint frame along z of the parent's, m."""
+    axes = row["parent_axes"]
+    return dot3((axes[2], axes[5], axes[8]), sub3(_place(row, pose), vector3(row["parent_origin"])))
+
+
+@kernel
 def coordinate(row, pose, near):
-    """Displacement, m, or the angle nearest to `near`, rad."""
-    if row["slides"] == 1:
-        axes = row["parent_axes"]
-        return dot3((axes[2], axes[5], axes[8]), sub3(_place(row, pose), vector3(row["parent_origin"])))
-    return angle(row, pose, near)
+    """Displacement of a joint that slides, m, or the angle nearest to `near`, rad."""
+    return displacement(row, pose) if row["slides"] == 1 else angle(row, pose, near)
 
 
 @kernel
