@@ -358,10 +358,9 @@ class Layout:
     def angles(self, pose, near=None):
         """Unwrapped angles (k,), see `Scene.unwrapped`, at a pose (n, 12), rad; near: see `sample`."""
         forces = self.model.forces
-        count = kinds.count_of_angles(forces)
-        if not count:
+        if not len(forces.counted):
             return NO_ANGLES
-        angles = np.full(count, UNKNOWN_TURN)
+        angles = np.full(len(forces.counted), UNKNOWN_TURN)
         if near is not None:
             angles[:] = near
         kinds.count_turns(forces, pose, angles)

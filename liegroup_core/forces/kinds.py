@@ -116,11 +116,6 @@ def target_values(forces):
     return np.array(rows[["position", "velocity"]].tolist(), dtype=float).reshape(-1, 2)
 
 
-def count_of_angles(forces):
-    """Number of unwrapped joint angles: those of torsional springs, of couplings, of servos."""
-    return len(forces.counted)
-
-
 @kernel
 def add_wrenches(forces, angle, targets, pose, twist, wrench_out):
     """Add the wrenches of all forces to wrench_out (n, 6).

@@ -12,7 +12,7 @@ from liegroup_core.motion_groups.table import FREEDOMS, ORDERS
 from liegroup_core.scene.consistency import ResolvedCoupling, resolve_couplings
 
 from .arrays import COUPLED, CUT, TERM
-from .links import FIRST_AXIS, SECOND_AXIS, link_poses
+from .links import FIRST_AXIS, SECOND_AXIS, link_poses, path_to_world
 from .redundancy import dependent_groups, generic_poses, independent_rows
 from .spanning_tree import WORLD_NAME
 
@@ -127,7 +127,8 @@ def _tree_jacobians(scene, frames, parts, loops, joints, links, places, coupled)
         return [_coupling_rows(links, coupled, 1.0, [entry.factors() for entry, _ in coupled])]
     first = _first_freedoms(links)
     ends = {
-        j: [_path(links, places[name][0]) for name in (scene.joints[j].child, scene.joints[j].parent)] for j in joints
+        j: [path_to_world(links, places[name][0]) for name in (scene.joints[j].child, scene.joints[j].parent)]
+        for j in joints
     }
     # On their common path to the world both ends of a joint move together.
     needed = sorted(set().union(*(set(a) ^ set(b) for a, b in ends.values())))
@@ -228,15 +229,6 @@ def cut_elements(scene, frames, cut, places, coupled):
     return records
 
 
-def _path(links, b):
-    """Links between a link and the world, itself first."""
-    path = []
-    while b != WORLD:
-        path.append(b)
-        b = links[b].parent
-    return path
-
-
 def loop_arrays(links, records, cut, rows, elements, coupled, counted, loops):
     """Arrays of the cut joints and couplings, ordered so that the envelope of W is narrow.
 
@@ -246,7 +238,7 @@ def loop_arrays(links, records, cut, rows, elements, coupled, counted, loops):
     solved = [k for k in range(len(cut)) if len(rows[k])]
     ends = [tuple(int(element[end]) for end in ("parent", "child")) for element in elements[: len(cut) - len(coupled)]]
     ends += [of_joints for _, of_joints in coupled]
-    paths = [sorted({i for end in ends[k] for i in _path(links, end)}, reverse=True) for k in solved]
+    paths = [sorted({i for end in ends[k] for i in path_to_world(links, end)}, reverse=True) for k in solved]
     order = _narrow([set(path) for path in paths])
     solved, paths = [solved[k] for k in order], [paths[k] for k in order]
     joints = np.zeros(len(solved), dtype=CUT)

@@ -19,7 +19,7 @@ from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.groups import SE3
 from liegroup_core.scene.massless import axes_without_inertia, written
 
-from .links import in_general_position
+from .links import in_general_position, path_to_world
 
 # Sine of the angle between a degree of freedom and those that move no inertia (for a point mass on a hinge: that
 # between the axis and the line to the mass). D is a difference of moments of inertia, and its ratio to them is the
@@ -59,7 +59,7 @@ def _free_turns(scene, links, places, world):
         if i == WORLD:
             continue
         C = world[i] @ place
-        moves = np.isin(owner, _path(links, i))
+        moves = np.isin(owner, path_to_world(links, i))
         shifts.append((S[3:] + np.cross(S[:3].T, C[:3, 3]).T) * moves)
         turns.append(_axes_with_inertia(body) @ C[:3, :3].T @ S[:3] * moves)
         arms.append(np.linalg.norm(C[:3, 3] - origins, axis=1) * moves)
@@ -93,15 +93,6 @@ def _axes_with_inertia(body):
     """(k, 3) orthonormal axes, body axes, about which a body has inertia."""
     without = axes_without_inertia(body)
     return np.linalg.svd(np.vstack([without, np.zeros((3, 3))]))[2][len(without) :]
-
-
-def _path(links, i):
-    """Links from link i to the world."""
-    path = []
-    while i != WORLD:
-        path.append(i)
-        i = links[i].parent
-    return path
 
 
 def _refusal(scene, links, places, world, i, turns, always):

@@ -196,6 +196,15 @@ def link_records(scene, links, index):
     return np.array(records, dtype=LINK)
 
 
+def path_to_world(links, b):
+    """Links between a link and the world, itself first."""
+    path = []
+    while b != WORLD:
+        path.append(b)
+        b = links[b].parent
+    return path
+
+
 def in_general_position(links, rng, size=1.0):
     """{link or WORLD: pose (4, 4) in the world} at random coordinates; size: m, of displacements of floating links."""
     world = {WORLD: np.eye(4)}

@@ -188,7 +188,7 @@ def _outer_wrenches(scene, model, pose, rng):
     forces = model.forces
     kinds.add_wrenches(
         forces,
-        rng.normal(size=kinds.count_of_angles(forces)),
+        rng.normal(size=len(forces.counted)),
         kinds.target_values(forces),
         pose,
         rng.normal(size=(len(pose), 6)),

@@ -82,7 +82,7 @@ class State:
         self.twist = rng.normal(size=(3, 6))
         described = EXAMPLES[kind] if described is None else described
         self.forces = kinds.make_forces(described, INDEX, ends, kinds.unwrapped(described))
-        self.angle = np.full(kinds.count_of_angles(self.forces), 20.0)  # three turns
+        self.angle = np.full(len(self.forces.counted), 20.0)  # three turns
         kinds.count_turns(self.forces, flat(pose), self.angle)
         self.targets = kinds.target_values(self.forces)
 
