@@ -163,7 +163,6 @@ class Engine:
         return (
             sample.energy,
             sample.power,
-            sample.spatial_momentum,
             sample.quaternions,
             sample.rows,
             sample.joint_coordinates,

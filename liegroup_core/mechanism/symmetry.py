@@ -109,27 +109,6 @@ def conserved_momentum(scene):
     return tuple(kept)
 
 
-def momentum_values(scene, kept, rotation, position, twist):
-    """Values of the conserved components of one group along a motion.
-
-    kept     : KeptMomentum
-    rotation : (k, n, 3, 3), position (k, n, 3) m, twist (k, n, 6) of the body frames, all n bodies
-    returns (k, components), N m s or N s
-    """
-    pose = np.concatenate([rotation.reshape(*rotation.shape[:2], 9), position], axis=2)
-    pose, twist = Offsets(scene).to_centres(pose, twist)
-    position = pose[..., 9:]
-    index = [i for i, body in enumerate(scene.bodies) if body.name in kept.bodies]
-    mass = np.array([scene.bodies[i].mass for i in index])
-    inertia = np.array([scene.bodies[i].inertia_matrix for i in index])
-    turn, place = rotation[:, index], position[:, index]
-    linear = mass[:, None] * np.einsum("knij,knj->kni", turn, twist[:, index, 3:])
-    spin = np.einsum("knij,njl,knl->kni", turn, inertia, twist[:, index, :3])
-    about = np.einsum("n,kni->ki", mass, place) / mass.sum() if kept.point is None else kept.point[None]
-    angular = (spin + np.cross(place - about[:, None], linear)).sum(axis=1)
-    return np.concatenate((angular @ kept.angular.T, linear.sum(axis=1) @ kept.linear.T), axis=1)
-
-
 def _kept(acting, reactions, centre, size):
     """Conserved components of a group: list of (point or None, angular, linear).
 

@@ -403,7 +403,8 @@ class Sample:
     @cached_property
     def spatial_momentum(self) -> NDArray[np.float64]:
         """(6,) angular momentum about the world origin, then linear momentum; world axes."""
-        return np.concatenate(invariants.spatial_momentum(self._layout.model, *self._state))
+        mass, inertia = (self._layout.model.bodies[key] for key in ("mass", "inertia"))
+        return np.concatenate(invariants.momenta(mass, inertia.reshape(-1, 3, 3), *self._state, np.zeros(3)))
 
     @cached_property
     def joint_residuals(self) -> dict[str, float]:

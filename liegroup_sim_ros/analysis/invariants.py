@@ -3,7 +3,8 @@
 
 import numpy as np
 
-from liegroup_core.mechanism.symmetry import conserved_momentum, momentum_values
+from liegroup_core.mechanism.symmetry import conserved_momentum
+from liegroup_core.observables.invariants import momentum_values
 
 from .drift import MOST_POINTS, Drift, thinned
 

@@ -9,7 +9,8 @@ import pytest
 from other_frames import described_elsewhere
 
 from liegroup_core import Simulation
-from liegroup_core.mechanism.symmetry import conserved_momentum, momentum_values
+from liegroup_core.mechanism.symmetry import conserved_momentum
+from liegroup_core.observables.invariants import momentum_values
 from liegroup_core.observables.sample import Sample
 from liegroup_core.reference import WrenchSpan, integrate
 from liegroup_core.scene import Body, Frame, Joint, Scene

@@ -10,7 +10,8 @@ import pytest
 
 from liegroup_core import Simulation, load_scene
 from liegroup_core.mechanism.body_model import initial_state
-from liegroup_core.mechanism.symmetry import conserved_momentum, momentum_values
+from liegroup_core.mechanism.symmetry import conserved_momentum
+from liegroup_core.observables.invariants import momentum_values
 from liegroup_core.reference import integrate
 from liegroup_core.scene.description import Body, Frame, Joint, Scene, SpringDamper
 from liegroup_core.scene.load import scene_from_text

@@ -15,8 +15,8 @@ import numpy as np
 
 from liegroup_core.errors import SimulationError
 from liegroup_core.mechanism.body_model import initial_state
-from liegroup_core.mechanism.symmetry import momentum_values
 from liegroup_core.observables.along import Along
+from liegroup_core.observables.invariants import momentum_values
 from liegroup_core.reference import Distance, Reference, Trajectory
 
 from .configurations import sample_times
