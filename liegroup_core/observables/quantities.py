@@ -161,9 +161,7 @@ class Catalogue:
     def owners(self):
         """{owners of TABLE: {name: units of the owner}}; of a sensor [(part, unit)]."""
         layout, forces, units = self._layout, self._layout.joint_forces, self._layout.coordinates.units
-        of_forces = {
-            name: {"effort": "N m" if force.joint_moves == "turns" else "N"} for name, force in forces.items()
-        }
+        of_forces = {name: {"effort": "N m" if force.joint_moves == "turns" else "N"} for name, force in forces.items()}
         of_joints = {forces[name].joint: own for name, own in of_forces.items()}
         of_joints |= {joint: {"q": unit, "effort": "N" if unit == "m" else "N m"} for joint, unit in units.items()}
         return {

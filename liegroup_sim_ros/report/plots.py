@@ -207,7 +207,10 @@ def _joint_plots(analysis, bands):
     layout = analysis.layout
     if not layout.coordinates.names:
         return []
-    joints, acted = layout.coordinates.names, {*(force.joint for force in layout.joint_forces.values()), *layout.motions}
+    joints, acted = (
+        layout.coordinates.names,
+        {*(force.joint for force in layout.joint_forces.values()), *layout.motions},
+    )
     try:
         times, columns, values = analysis.columns([f"{joint}.{part}" for part in PARTS for joint in joints])
     except NO_RESULT:
