@@ -575,7 +575,7 @@ class Engine:
         """`here` from the last substep; None: the integration has not come to the present time."""
         if not (self.serves(self.now.step) or self._has_reached(self.now)):
             return None
-        work, pose, twist = self._work, np.empty_like(self._pose), np.empty_like(self._twist)
+        work, pose, twist = self._work, self._pose.copy(), self._twist.copy()
         clock, angles, modes = work.clock, work.angle.copy(), [array.copy() for array in self._modes]
         clock.to_step[0], clock.until[0] = self._grid.parts(self.now)
         status = self._integrator.inside(pose, twist, self.inputs.acting.external)

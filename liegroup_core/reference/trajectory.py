@@ -436,11 +436,12 @@ def _at_bodies(offsets, motion):
 def _to_trajectory(times, states, shape):
     k, n = len(times), shape[0]
     states = states[:, : n * STATE].reshape(k, *shape)
-    turn = Rotation.from_quat(states[..., [1, 2, 3, 0]].reshape(-1, 4))
-    velocity = turn.apply(states[..., 7:10].reshape(-1, 3), inverse=True).reshape(k, n, 3)
+    turn = Rotation.from_quat(states[..., [1, 2, 3, 0]].reshape(-1, 4)).as_matrix().reshape(k, n, 3, 3)
+    # R^T v, in sums whose bits do not depend on the number of times.
+    velocity = sum(turn[..., j, :] * states[..., 7 + j, None] for j in range(3))
     return Trajectory(
         times,
-        turn.as_matrix().reshape(k, n, 3, 3),
+        turn,
         states[..., 4:7],
         np.concatenate((states[..., 10:13], velocity), axis=2),
     )

@@ -130,11 +130,15 @@ def print_survey(found, console):
     console.print(printed(TextTable(None, ("", ""), rows, 2)))
     if found.channels:
         console.print()
-        figures = found.figures[:MOST_ROWS]
-        table = table_of(TOPICS, figures, folded=2)._replace(right=(2, 3, 4))
-        if len(found.channels) > MOST_ROWS:
-            table.rows.append((f"and {len(found.channels) - MOST_ROWS} more", "", "", "", ""))
-        console.print(printed(table))
+        console.print(topics_table(found))
+
+
+def topics_table(found):
+    """Table of the topics of a Survey, for a terminal."""
+    table = table_of(TOPICS, found.figures[:MOST_ROWS], folded=2)._replace(right=(2, 3, 4))
+    if len(found.channels) > MOST_ROWS:
+        table.rows.append((f"and {len(found.channels) - MOST_ROWS} more", "", "", "", ""))
+    return printed(table)
 
 
 def listed(problems):
