@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Engine: integrates one scene with one method and one step size."""
+"""Engine: integrates one scene with one step size."""
 
 import contextlib
 import copy

@@ -54,7 +54,7 @@ class Model(Struct):
 
 
 class Work(Struct):
-    """Scratch memory of one simulation; only `angle` keeps its meaning between calls."""
+    """Memory of one simulation; `angle`, `targets`, `motions` and counts of the report hold between calls."""
 
     wrench: np.ndarray             # (n, 6) sum of the applied wrenches
     angle: np.ndarray              # rad, of each of forces.counted at the last finished step: state

@@ -10,6 +10,8 @@
     substeps         (accepted, attempted) since the restart; (0, 0) without error control
 and with error control
     tighten(part)    multiply the tolerances of the options by `part`
+    lead, inside, look_ahead, forget, choose, stop_at, spent: see MuntheKaas, if it runs ahead of the caller
+    switching        Switching, if it has the events of stops and friction
 """
 
 from liegroup_core.methods.generalized_alpha.generalized_alpha import GeneralizedAlpha

@@ -439,9 +439,4 @@ def _to_trajectory(times, states, shape):
     turn = Rotation.from_quat(states[..., [1, 2, 3, 0]].reshape(-1, 4)).as_matrix().reshape(k, n, 3, 3)
     # R^T v, in sums whose bits do not depend on the number of times.
     velocity = sum(turn[..., j, :] * states[..., 7 + j, None] for j in range(3))
-    return Trajectory(
-        times,
-        turn,
-        states[..., 4:7],
-        np.concatenate((states[..., 10:13], velocity), axis=2),
-    )
+    return Trajectory(times, turn, states[..., 4:7], np.concatenate((states[..., 10:13], velocity), axis=2))

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Steps of a Munthe-Kaas method: equal ones, in substeps that meet tolerances, and ahead of the caller.
 
-Only the three functions that Python calls are compiled with the mechanics; a stage is a loop of explicit.substep.
+Only the functions that Python calls are compiled with the mechanics; explicit.substep is the loop over the stages.
 """
 
 import math

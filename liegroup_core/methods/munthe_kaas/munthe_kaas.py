@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Munthe-Kaas methods of any tableau on the state space of a constrained mechanism.
 
-One step of (6.25), stages j = 1..s, on G x R^6n with G = SE(3)^n or (SO(3) x R^3)^n:
+One step of (6.25), stages j = 1..s, with G = SE(3)^n, (SO(3) x R^3)^n, or the product of the joints' motion groups:
     Psi_j = h sum_l a_jl k_l ,   X_j = X_0 exp Psi_j ,   k_j = dexp^-1_{-Psi_j} F(X_j)
     X_1   = X_0 exp(h sum_j b_j k_j)
 On the vector part (velocities) exp and dexp are the identity. On SO(3) x R^3 the velocity of the
