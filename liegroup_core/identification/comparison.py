@@ -40,6 +40,7 @@ NOISY = 4.0  # mean square that is nearly noise: a wrong model does not lead to 
 NEAR = 100.0  # mean square: residuals of ten deviations are no question of single clocks, and show no delay
 CLEARLY = 0.25  # of the mean square without a delay
 FEW = 1.0  # s of the log in which they are tried, at least
+KEPT = 0.5  # share of the measurements of a clock that stay
 ORDER = 4
 MOST_RESTARTS = 5  # of fits, from where segments before end
 REFINED, MOST_REFINED = 0.1, 3  # change of the noise that is small, and repetitions
@@ -385,11 +386,17 @@ def _rough_delays(fit, bounds, delays):
     common = Unknowns(few, delays, runs.numbers.values, first_states(runs, few, delays))
     bases = fit.bases(common)
 
+    def seen(of, trial):
+        """Number of measurements of some clocks in the segments."""
+        return sum(len(s.rows[t]) for s in runs.segments(replace(common, delays=trial)) for t in of)
+
     def cost(of, lag):
-        """Mean square of what the best starts leave of the same measurements."""
+        """Mean square of what the best starts leave of the same measurements; inf if a lag moves most of them away."""
         trial = delays + np.where(np.isin(np.arange(len(delays)), of), lag, 0.0)
         alike = len(of) == len(delays)
         try:
+            if not alike and seen(of, trial) < KEPT * seen(of, delays):
+                return np.inf
             point = replace(common, delays=trial, states=common.states if alike else first_states(runs, few, trial))
             left = fit.left(point, bases if alike else fit.bases(point))
         except SimulationError:

@@ -301,6 +301,9 @@ def test_a_second_clock_may_be_silent(kept):
     assert found.comparison.agrees, found.comparison.verdict
     assert abs(found.values[0] - 0.15) < 4.0 * found.deviations[0]
     assert len(found.comparison.fit.runs.log.notes) == (kept == "three")
+    if kept in ("rare", "late", "with a gap"):
+        delay, deviation = found.comparison.delays["/rates"]
+        assert abs(delay - 0.003) < 4.0 * deviation < 1e-3
 
 
 def test_a_log_may_begin_before_its_first_message():
