@@ -240,11 +240,14 @@ def reach(model, work, scheme, steps, pose_in, twist_in, external_in, control):
 def inside(model, work, scheme, pose_in, twist_in, external_in, control):
     """Set pose (n, 12), twist (n, 6), angles and coordinates to the end of the call, in the kept substep. A status."""
     pose, twist, external, status = enter(model, work, work.pose, work.twist, borrowed(external_in))
-    if status == OK:
+    if time_left(work, control) >= 0.0:  # its end
+        set_turns(work, work.lead_angle, work.lead_coordinates)
+        begin(model, work, pose, twist)
+    elif status == OK:
         status = _go_inside(model, work, scheme, control, external)
-    if status == OK:
         set_turns(work, work.kept_angle, work.kept_coordinates)
         count_turns(model, work)
+    if status == OK:
         place(model, work, borrowed(pose_in), borrowed(twist_in))
     return status
 
