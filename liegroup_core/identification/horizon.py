@@ -100,10 +100,10 @@ class Horizon:
 @one_blas_thread()
 def horizons(fit, solution):
     """[Horizon] of the outputs of a Solution; none where no run goes on."""
-    point = _long(fit, solution)
-    if point is None:
+    owners = _starts(fit, solution)
+    if not owners:
         return []
-    runs, owners = fit.runs, _owners(solution, point)
+    point, runs = _long(fit, solution.point, owners), fit.runs
     kinds = [outputs.units for outputs in runs.machine(point.values).outputs]
     outputs = runs.base(point)
     residuals = fit.residuals(point, outputs)
@@ -157,36 +157,34 @@ def _rounded(size):
     return float(f"{min((1.0, 2.0, 5.0, 10.0), key=lambda digit: abs(np.log(size / power / digit))) * power:.1g}")
 
 
-def _long(fit, solution):
-    """Unknowns with runs from some of the segments to the ends of their recordings; None: none can be run."""
-    given, found = solution.point, []
+def _starts(fit, solution):
+    """Numbers of segments of a Solution from whose starts runs go on to the ends of their recordings."""
+    bounds, found = solution.point.bounds, []
     for first, last in fit.runs.log.spans:
-        own = np.flatnonzero((given.bounds[:, 0] >= first - 1e-6) & (given.bounds[:, 0] < last))
+        own = np.flatnonzero((bounds[:, 0] >= first - 1e-6) & (bounds[:, 0] < last))
         known = np.array([_rank(solution.linear[k][0]) for k in own])
         own = own[known == known.max(initial=0)]  # of the others no measurement shows all
         share = max(1, STARTS // len(fit.runs.log.spans))
         for k in own[np.unique(np.linspace(0, len(own) - 1, min(share, len(own))).astype(int))] if len(own) else ():
-            point = replace(given, bounds=np.array([[given.bounds[k, 0], last + 1e-6]]), states=(given.states[k],))
             try:
-                fit.runs.base(point)
+                fit.runs.base(_long(fit, solution.point, [k]))
             except SimulationError:
                 continue
-            found.append((point.bounds[0], given.states[k]))
-    if not found:
-        return None
-    bounds, states = zip(*found)
-    return replace(given, bounds=np.array(bounds), states=states)
+            found.append(k)
+    return found
+
+
+def _long(fit, point, numbers):
+    """Unknowns with runs from some segments to the ends of their recordings."""
+    firsts = point.bounds[numbers, 0]
+    ends = [next(last for first, last in fit.runs.log.spans if first - 1e-6 <= at < last) + 1e-6 for at in firsts]
+    return replace(point, bounds=np.column_stack([firsts, ends]), states=tuple(point.states[k] for k in numbers))
 
 
 def _rank(J):
     """Number of directions of a start that its segment shows."""
     singular = np.linalg.svd(J, compute_uv=False)
     return int((singular > HIDDEN * singular.max(initial=0.0)).sum())
-
-
-def _owners(solution, point):
-    """Numbers of the segments of a Solution with the starts of other Unknowns."""
-    return [int(np.flatnonzero(solution.point.bounds[:, 0] == first)[0]) for first, _ in point.bounds]
 
 
 def _explained(fit, solution, point, outputs, residuals, owners):
