@@ -15,6 +15,7 @@ from liegroup_core.forces.acting import Acting
 from liegroup_core.forces.applied_wrench import wrenches_of
 from liegroup_core.forces.commands import MOTION, SCENE, Command
 from liegroup_core.forces.joint_effort import unit_wrenches
+from liegroup_core.forces.law import laws_of, signals_of
 from liegroup_core.joints.coupling import COUPLED
 from liegroup_core.joints.kinds import ROLLING
 from liegroup_core.joints.limits import limits_of
@@ -261,6 +262,18 @@ class Layout:
     def joint_forces(self):
         """{name: force} of the forces about or along the z axis of a joint."""
         return {force.name: force for force in self.scene.forces if force.joint_moves}
+
+    @cached_property
+    def signals(self):
+        """{LAW.SIGNAL: its register} of the laws of the scene."""
+        return signals_of(self.scene.forces)
+
+    @cached_property
+    def law_efforts(self):
+        """[(joint, register)] of the efforts of laws."""
+        rows = self.model.forces.laws.outputs[:]
+        joints = [each.joint for law in laws_of(self.scene.forces) for each in law.outputs]
+        return [(joint, int(row["registers"][0])) for joint, row in zip(joints, rows) if joint is not None]
 
     @cached_property
     def unit_efforts(self):

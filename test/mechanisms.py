@@ -251,6 +251,9 @@ FORCES_ON_HINGES = yaml.safe_load("""
 - {name: push, type: motor, joint: j1, torque: -0.3}
 - {name: hold, type: servo, joint: j1, stiffness: 1.5, damping: 0.1, position: 3, velocity: 0.2}
 - {name: air, type: drag, body: b, linear: 0.1, quadratic: 0.02, angular: 0.01, angular_quadratic: 0.003}
+- {name: pull, type: law, inputs: {q: j2.position, w: j0.velocity, z: b.z, v: {quantity: c.vx, point: [0, 0.1, 0]}},
+   parameters: {k: 0.8}, outputs: [{joint: j2, effort: k*sin(2*q) - 0.1*w},
+   {body: b, force: [0.2*v, 0, cos(3*t)*z], axes: world, point: [0, 0.1, 0]}]}
 - {name: wind, type: applied_wrench, body: c, torque: [0.1, 0, 0], force: [1, 0.5, 0], point: [0.1, 0, 0.2],
    axes: world}
 - {name: jet, type: applied_wrench, body: a, force: [0.4, 0.1, 0], point: [0, 0, 0.3]}

@@ -20,6 +20,7 @@ and constants of forces. Rotation matrices are made orthogonal; frames and a len
 omits are resolved as in the engine.
 """
 
+import re
 from decimal import Decimal
 from typing import NamedTuple
 
@@ -190,6 +191,40 @@ def _push(body, torque, force, point, axes, read):
     return np.concatenate([torque + np.cross(read.vector(point) - body.c, force), force])
 
 
+def _of_law(law, frames, joints, bodies, read):
+    """[(body, wrench (6,) about its centre of mass)] of a Law without functions that decimals lack."""
+    values = {name: read.number(value) for name, value in law.parameters.items()}
+    for name, each in law.inputs.items():
+        owner, _, part = each.quantity.rpartition(".")
+        if owner in joints:
+            q = _joint_coordinate(frames[owner], joints[owner].type != "prismatic")
+            values[name] = q.value if part == "position" else q.rate
+            continue
+        body, place = bodies[owner], read.vector(each.point or np.zeros(3))
+        at = place - body.c
+        kinds = {"w": body.w, "v": body.v + np.cross(body.w, at), "": body.r + body.R @ at}
+        values[name] = kinds[part[:-1]]["xyz".index(part[-1])]
+
+    def formula(text):
+        exact = re.sub(r"\d+\.\d+", lambda found: f"Decimal({found[0]})", text)
+        return Decimal(eval(exact, {"Decimal": Decimal}, values))
+
+    for name, text in law.signals.items():
+        values[name] = formula(text)
+    for each in law.outputs:
+        if each.body is None:
+            q = _joint_coordinate(frames[each.joint], joints[each.joint].type != "prismatic")
+            for end, name in enumerate((joints[each.joint].parent, joints[each.joint].child)):
+                if name != "world":
+                    yield name, formula(each.effort) * q.slopes[6 * end : 6 * end + 6]
+        else:
+            torque, force = (np.array([formula(text) for text in three]) for three in (each.torque, each.force))
+            body = bodies[each.body]
+            if each.axes == "world":
+                torque, force = body.R.T @ torque, body.R.T @ force
+            yield each.body, np.concatenate([torque + np.cross(read.vector(each.point) - body.c, force), force])
+
+
 class System(NamedTuple):
     """Blocks of the saddle-point system of n bodies and m rows, in decimals."""
 
@@ -267,6 +302,9 @@ def _system(scene, wrenches, read, states=None):
         if force.type == "applied_wrench":
             body = bodies[force.body]
             Q[index[force.body]] += _push(body, force.torque, force.force, force.point, force.axes, read)
+        elif force.type == "law":
+            for name, wrench in _of_law(force, frames, joints, bodies, read):
+                Q[index[name]] += wrench
         elif force.type == "drag":
             body = bodies[force.body]
             kinds = ((body.w, force.angular, force.angular_quadratic),)

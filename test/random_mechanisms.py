@@ -22,6 +22,7 @@ from liegroup_core.scene.consistency import resolve_couplings, resolve_elements,
 from liegroup_core.scene.description import (
     ConstantWrench,
     Drag,
+    Law,
     LinearMotor,
     LinearServo,
     LinearSpringDamper,
@@ -195,7 +196,29 @@ def forced(rng, scene):
             point=rng.normal(size=3),
             axes=str(rng.choice(["body", "world"])),
         )
-    return scene.remade(forces=forces)
+    return scene.remade(forces=[*forces, *_laws(own, scene, len(forces))])
+
+
+def _laws(rng, scene, first):
+    """Laws at some joints with one coordinate and on some bodies, with formulas that decimals can evaluate."""
+    laws = []
+    for joint in scene.joints:
+        k, c, a = rng.uniform(0.1, 2.0, size=3).tolist()
+        if TYPES[joint.type].coordinate and not joint.driven and c < 0.7:
+            inputs = {"q": f"{joint.name}.position", "w": f"{joint.name}.velocity"}
+            output = {"joint": joint.name, "effort": "k*(a - q) - c*w*abs(w) + 0.1*q**3"}
+            laws.append({"inputs": inputs, "parameters": {"k": k, "c": c, "a": a}, "outputs": [output]})
+    for body in scene.bodies:
+        k, c, a = rng.uniform(0.1, 2.0, size=3).tolist()
+        if c < 0.5:
+            point = rng.normal(size=3).tolist()
+            inputs = {"x": {"quantity": f"{body.name}.x", "point": point}, "w": f"{body.name}.wz"}
+            inputs["v"] = {"quantity": f"{body.name}.vy", "point": point}
+            output = {"body": body.name, "force": ["-k*x", "c*w", "f"], "torque": ["f*a", "w - v", "1/k"]}
+            output |= {"point": point, "axes": "world" if a > 1.0 else "body"}
+            law = {"inputs": inputs, "parameters": {"k": k, "c": c, "a": a}, "outputs": [output]}
+            laws.append(law | {"signals": {"f": "max(v, -v)*c if x > 0 else x*v"}})
+    return [Law(name=f"f{first + number}", **law) for number, law in enumerate(laws)]
 
 
 def coupled(rng, scene, most):

@@ -30,7 +30,9 @@ def apply_forces(model, work, external):
     space = work.space
     place_bodies(model, work, space.stage_pose, space.stage_twist)
     set_external_wrenches(external, space.stage_pose, work.wrench)
-    add_wrenches(model.space.forces, work.angle, work.targets, space.stage_pose, space.stage_twist, work.wrench)
+    work.registers[0, 0] = work.clock.now[0]
+    pose, twist = space.stage_pose, space.stage_twist
+    add_wrenches(model.space.forces, work.angle, work.targets, work.registers, pose, twist, work.wrench)
     apply_wrenches(model, work)
 
 

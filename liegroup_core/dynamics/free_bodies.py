@@ -58,7 +58,8 @@ def accelerations_of_free_bodies(model, work, external):
             work.wrench[i, 3 + c] = force[c] + mass * gyro_v[c] + weight[c]
     forces = model.space.forces
     if forces.exist:
-        add_wrenches(forces, work.angle, work.targets, pose, twist, work.wrench)
+        work.registers[0, 0] = work.clock.now[0]
+        add_wrenches(forces, work.angle, work.targets, work.registers, pose, twist, work.wrench)
     for i in range(len(model.bodies)):
         f = model.links[i]["freedom"]
         angular = matvec3(matrix3(bodies[i]["inverse_inertia"]), load3(work.wrench, i, 0))

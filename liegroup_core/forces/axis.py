@@ -165,6 +165,12 @@ def rate(row, unit, twist):
 
 
 @kernel
+def rate_change(row, unit, pose, twist, moves, rates):
+    """Change of the rate along displacements, see kinds.add_changes."""
+    return rate(row, _changes(row, pose, moves, unit), twist) + rate(row, unit, rates)
+
+
+@kernel
 def _add(row, effort, wrench, body, wrench_out):
     if body == WORLD:
         return

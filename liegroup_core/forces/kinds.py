@@ -20,15 +20,17 @@ import numpy as np
 
 from liegroup_core.compiling import Struct, borrowed, kernel, shared
 
-from . import axis, drag, joint_law, spring_damper
+from . import axis, drag, joint_law, law, spring_damper
 from .applied_wrench import ConstantWrench
 from .drag import Drag
 from .joint_law import LinearMotor, LinearServo, LinearSpringDamper, Motor, Servo, TorsionalSpringDamper
+from .law import Law
 from .spring_damper import SpringDamper
 
 __all__ = [
     "ConstantWrench",
     "Drag",
+    "Law",
     "LinearMotor",
     "LinearServo",
     "LinearSpringDamper",
@@ -48,9 +50,10 @@ FORCES = (
     Servo,
     LinearServo,
     Drag,
+    Law,
     ConstantWrench,
 )
-POWERS = (*joint_law.GROUPS, "drag")  # groups of forces in `powers`
+POWERS = (*joint_law.GROUPS, "drag", "laws")  # groups of forces in `powers`
 
 
 class Forces(Struct):
@@ -59,21 +62,30 @@ class Forces(Struct):
     spring_damper: np.ndarray
     joint_law: np.ndarray  # in the order of `joint_laws`
     drag: np.ndarray
+    laws: Struct  # law.Laws
     counted: np.ndarray  # (k,) of axis.ROW: joints whose angle is unwrapped
     exist: bool  # True if there are forces
 
 
-def make_forces(described, index, ends, counted):
+def registers_at(forces, time):
+    """Registers (m, 2) of the laws for a call of their kernels at a time in s."""
+    registers = forces.laws.registers.copy()
+    registers[0, 0] = time
+    return registers
+
+
+def make_forces(described, index, ends, counted, slides=()):
     """Rows of the forces of a scene.
 
     described : the scene's forces
     index     : {body name: body index, "world": WORLD}
     ends      : {joint name: (parent's index, child's index, parent frame, child frame)}
     counted   : [(joint, force or coupling)] of `unwrapped`
+    slides    : names of the joints whose coordinate is a displacement
     """
     angles = {name: i for i, (_, name) in enumerate(counted)}
     targets = {servo.name: i for i, servo in enumerate(servos(described))}
-    laws = [
+    at_joints = [
         joint_law.make_row(force, ends, angles.get(force.name, -1), targets.get(force.name, -1))
         for force in joint_laws(described)
     ]
@@ -84,8 +96,9 @@ def make_forces(described, index, ends, counted):
 
     return Forces(
         spring_damper=rows(spring_damper, SpringDamper),
-        joint_law=np.array(laws, dtype=joint_law.ROW),
+        joint_law=np.array(at_joints, dtype=joint_law.ROW),
         drag=rows(drag, Drag),
+        laws=law.make_laws(described, index, ends, {joint: i for i, (joint, _) in enumerate(counted)}, slides),
         counted=np.array([axis.fields(False, *ends[joint]) for joint, _ in counted], dtype=axis.ROW),
         exist=any(not isinstance(force, ConstantWrench) for force in described),
     )
@@ -101,13 +114,16 @@ def servos(described):
     return [force for force in joint_laws(described) if force.group == "servos"]
 
 
-def unwrapped(described, coupled=()):
-    """[(joint, name of a force or coupling)] of each unwrapped angle; coupled: those of couplings and drives."""
+def unwrapped(described, coupled=(), turning=()):
+    """[(joint, name of a force or coupling)] of each unwrapped angle.
+
+    coupled : those of couplings and drives;  turning : names of the joints whose coordinate is an angle
+    """
 
     def named(kind):
         return [(force.joint, force.name) for force in described if force.type == kind]
 
-    return [*named("torsional_spring_damper"), *coupled, *named("servo")]
+    return [*named("torsional_spring_damper"), *coupled, *named("servo"), *law.unwrapped_inputs(described, turning)]
 
 
 def target_values(forces):
@@ -117,38 +133,42 @@ def target_values(forces):
 
 
 @kernel
-def add_wrenches(forces, angle, targets, pose, twist, wrench_out):
+def add_wrenches(forces, angle, targets, registers, pose, twist, wrench_out):
     """Add the wrenches of all forces to wrench_out (n, 6).
 
     angle  : (k,) rad, the unwrapped angles after the last step
     targets : (k, 2) target position and velocity of each servo
+    registers : (m, 2) of the laws, scratch memory; [0, 0] is the time in s
     pose (n, 12), twist (n, 6)
     """
     if forces.exist:
-        _add_wrenches(forces, borrowed(angle), borrowed(targets), borrowed(pose), borrowed(twist), borrowed(wrench_out))
+        angle, targets, registers = borrowed(angle), borrowed(targets), borrowed(registers)
+        _add_wrenches(forces, angle, targets, registers, borrowed(pose), borrowed(twist), borrowed(wrench_out))
 
 
 @shared
-def _add_wrenches(forces, angle, targets, pose, twist, wrench_out):
+def _add_wrenches(forces, angle, targets, registers, pose, twist, wrench_out):
     spring_damper.add_wrench(forces.spring_damper, pose, twist, wrench_out)
     joint_law.add_wrench(forces.joint_law, angle, targets, pose, twist, wrench_out)
     drag.add_wrench(forces.drag, twist, wrench_out)
+    law.add_wrench(forces.laws, angle, registers, pose, twist, wrench_out)
     return 0
 
 
 @shared
-def add_changes(forces, angle, targets, pose, twist, moves, rates, shifts, at, wrench_out):
+def add_changes(forces, angle, targets, registers, pose, twist, moves, rates, shifts, at, wrench_out):
     """Add the derivatives of the wrenches along displacements, and changes of twists and targets.
 
     moves (n, 6) : displacement of every body, X exp(s moves), in its axes;  rates (n, 6) : change of its twist
     shifts : changes of the targets of all servos, from row `at` on
     """
-    angle, targets = borrowed(angle), borrowed(targets)
+    angle, targets, registers = borrowed(angle), borrowed(targets), borrowed(registers)
     pose, twist, moves, rates = borrowed(pose), borrowed(twist), borrowed(moves), borrowed(rates)
     shifts, wrench_out = borrowed(shifts), borrowed(wrench_out)
     spring_damper.add_change(forces.spring_damper, pose, twist, moves, rates, wrench_out)
     joint_law.add_change(forces.joint_law, angle, targets, pose, twist, moves, rates, shifts, at, wrench_out)
     drag.add_change(forces.drag, twist, rates, wrench_out)
+    law.add_change(forces.laws, angle, registers, pose, twist, moves, rates, wrench_out)
     return 0
 
 
@@ -159,7 +179,7 @@ def energy(forces, angle, pose):
 
 
 @kernel
-def powers(forces, angle, targets, pose, twist):
+def powers(forces, angle, targets, registers, pose, twist):
     """Powers of the non-conservative forces by POWERS, W."""
     dampers, motors, servos = joint_law.powers(forces.joint_law, angle, targets, pose, twist)
     return (
@@ -167,14 +187,15 @@ def powers(forces, angle, targets, pose, twist):
         motors,
         servos,
         drag.power(forces.drag, twist),
+        law.power(forces.laws, angle, registers, pose, twist),
     )
 
 
 @kernel
-def power(forces, angle, targets, pose, twist):
+def power(forces, angle, targets, registers, pose, twist):
     """Power of the non-conservative forces, W: the rate of the mechanical energy."""
-    dampers, motors, servos, drags = powers(forces, angle, targets, pose, twist)
-    return dampers + motors + servos + drags
+    dampers, motors, servos, drags, by_laws = powers(forces, angle, targets, registers, pose, twist)
+    return dampers + motors + servos + drags + by_laws
 
 
 @kernel

@@ -349,7 +349,9 @@ def _change_wrenches(model, work, external, more, targets, d, links, moves, rate
     set_changes(external, more, d * n, pose, moves, work.wrench)
     if forces.exist:
         at = d * len(work.targets)
-        add_changes(forces, work.angle, work.targets, pose, twist, moves, rates, targets, at, work.wrench)
+        work.registers[0, 0] = work.clock.now[0]
+        given = forces, work.angle, work.targets, work.registers
+        add_changes(*given, pose, twist, moves, rates, targets, at, work.wrench)
     for i in range(n):
         b = model.bodies[i]["link"]
         if b != WORLD:

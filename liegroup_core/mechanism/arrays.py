@@ -227,6 +227,7 @@ class RelativeWork(Struct):
     space: Work
     angle: np.ndarray  # the fields from here to `report` are those of `space`
     targets: np.ndarray
+    registers: np.ndarray
     motions: np.ndarray
     clock: CallTimes
     start_angle: np.ndarray
@@ -328,7 +329,7 @@ def make_relative_work(model, work, stages):
         drift=2 if in_plane else 6,
         inertia=6 if in_plane else 21,
     )
-    shared = ("angle", "targets", "motions", "clock", "start_angle", "report")
+    shared = ("angle", "targets", "registers", "motions", "clock", "start_angle", "report")
     given = {name: getattr(work, name) for name in shared}
     rows = {"child_jacobian": model.child_jacobian.copy(), "factors": model.coupling_terms["factor"].copy()}
     rows |= {name: np.zeros_like(work.angle) for name in ("lead_angle", "kept_angle")}

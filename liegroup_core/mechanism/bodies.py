@@ -60,6 +60,7 @@ class Work(Struct):
     angle: np.ndarray              # rad, of each of forces.counted at the last finished step: state
     start_angle: np.ndarray        # the same at the start of a step that is taken in substeps
     targets: np.ndarray            # (k, 2) position and velocity of each servo: input of a call
+    registers: np.ndarray          # (m, 2) of the laws of the scene
     motions: np.ndarray            # (d, 7) motion of each driven joint: input of a call
     clock: CallTimes
     stage_pose: np.ndarray         # (n, 12)
@@ -74,7 +75,8 @@ def make_work(model, stages):
     counted = len(model.forces.counted)
     return Work(
         wrench=np.zeros((n, 6)), angle=np.zeros(counted), start_angle=np.zeros(counted),
-        targets=target_values(model.forces), motions=model.motions.copy(), clock=CallTimes.make(),
+        targets=target_values(model.forces), registers=model.forces.laws.registers.copy(),
+        motions=model.motions.copy(), clock=CallTimes.make(),
         stage_pose=np.zeros((n, 12)), stage_twist=np.zeros((n, 6)),
         slopes=np.zeros(((stages + 1) * n, 12)), report=np.zeros(6))
 

@@ -6,6 +6,7 @@ import numpy as np
 from liegroup_core.forces import rotors
 from liegroup_core.forces.kinds import make_forces
 from liegroup_core.joints.elements import ELEMENT, PAIR, WORLD
+from liegroup_core.joints.kinds import TYPES
 from liegroup_core.joints.motion import COLUMNS
 from liegroup_core.scene.consistency import driven_joints, resolve_elements, resolve_frames
 from liegroup_core.scene.massless import invertible_inertia
@@ -95,7 +96,8 @@ def _solved_inertia(i, body, elements):
 def _forces(scene, index, frames):
     """Forces of the scene as rows of every kind."""
     ends = {joint.name: (index[joint.parent], index[joint.child], *pair) for joint, pair in zip(scene.joints, frames)}
-    return make_forces(scene.forces, index, ends, scene.unwrapped)
+    slides = {joint.name for joint in scene.joints if TYPES[joint.type].coordinate == "m"}
+    return make_forces(scene.forces, index, ends, scene.unwrapped, slides)
 
 
 def refinements(bodies, inertias, ends, elements):

@@ -169,6 +169,7 @@ def _outer_wrenches(scene, model, pose, rng):
         forces,
         rng.normal(size=len(forces.counted)),
         kinds.target_values(forces),
+        kinds.registers_at(forces, rng.uniform(0.0, 10.0)),
         pose,
         rng.normal(size=(len(pose), 6)),
         wrench,
@@ -228,6 +229,10 @@ def body_groups(scene):
     # Forces at a joint connect the same bodies as the joint; forces on one body connect none.
     pairs = [(getattr(link, "child", WORLD), getattr(link, "parent", WORLD)) for link in (*scene.joints, *scene.forces)]
     child_of = {joint.name: joint.child for joint in scene.joints}
+    for force in scene.forces:
+        if force.type == "law":  # it connects all that it reads and acts on
+            bodies = [name for name in force.on_bodies(child_of) if name in label]
+            pairs += zip(bodies, bodies[1:])
     pairs += [(child_of[entry.joint], child_of[other]) for entry in scene.couplings for other in entry.others]
     for child, parent in pairs:
         if WORLD not in (parent, child):

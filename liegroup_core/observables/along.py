@@ -29,10 +29,11 @@ def _along(model, angle, pose, twist, energy_out, parts_out, residual_out, angle
 
 @SameTypes
 @kernel
-def _powers(forces, angle, targets, pose, twist, out):
+def _powers(forces, angle, targets, registers, times, pose, twist, out):
     for k in range(len(pose)):
-        found = kinds.powers(forces, angle[k], targets, pose[k], twist[k])
-        out[k, 0], out[k, 1], out[k, 2], out[k, 3] = found
+        registers[0, 0] = times[k]
+        found = kinds.powers(forces, angle[k], targets, registers, pose[k], twist[k])
+        out[k, 0], out[k, 1], out[k, 2], out[k, 3], out[k, 4] = found
 
 
 @SameTypes
@@ -70,15 +71,16 @@ def rows(pose, twist):
     return out
 
 
-def powers(layout, angles, targets, pose, twist):
+def powers(layout, angles, targets, times, pose, twist):
     """(k, p) W of the non-conservative forces of a layout by kinds.POWERS, in k states with the same inputs.
 
-    angles (k, t) rad; targets as for kinds.powers; pose (k, n, 12), twist (k, n, 6) of the frames at the
+    angles (k, t) rad; targets as for kinds.powers; times (k,) s; pose (k, n, 12), twist (k, n, 6) of the frames at the
     centres of mass
     """
     out = np.zeros((len(pose), len(kinds.POWERS)))
-    given = [np.array(part, order="C") for part in (angles, targets, pose, twist)]
-    _powers(layout.model.forces, *given, out)
+    forces = layout.model.forces
+    given = [np.array(part, order="C") for part in (angles, targets, forces.laws.registers, times, pose, twist)]
+    _powers(forces, *given, out)
     return out
 
 

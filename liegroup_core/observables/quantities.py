@@ -48,7 +48,7 @@ class Row(NamedTuple):
     along: Callable | None = None
 
 
-KINDS = {"coordinate": "joint", "driven": "joint", "contact": "joint"}  # of owners
+KINDS = {"coordinate": "joint", "driven": "joint", "contact": "joint", "signal": "force"}  # of owners
 
 
 def _rotations(poses, columns):
@@ -134,6 +134,7 @@ TABLE = {
     ),
     "totals": Row("coordinate", ("total_effort",), ("{effort}",), _ALL_EFFORTS, _totals),
     "powers": Row("coordinate", ("power",), ("W",), "total effort times velocity", _powers),
+    "signals": Row("signal", (), (), "of laws", lambda s, _: list(s.signals.values()), RATES),
     "sensors": Row("sensor", (), (), "as the sensor measures", _sensors),
 }
 GROUPS = (*TABLE, *JOINED)
@@ -172,6 +173,7 @@ class Catalogue:
             "driven": {joint: of_joints[joint] for joint in (*layout.servos, *layout.motions, *layout.unit_efforts)},
             "contact": dict.fromkeys((joint.name for joint, *_ in layout.contacts), {}),
             "force": of_forces,
+            "signal": dict.fromkeys(layout.signals, {}),
             "sensor": {each.name: _parts(each, units) for each in layout.scene.sensors},
         }
 
@@ -187,6 +189,8 @@ class Catalogue:
                 for name, parts in self.owners["sensor"].items()
                 for k, (_, unit) in enumerate(parts)
             ]
+        elif row.owners == "signal":
+            columns = [(name, "", row.depends) for name in self.owners["signal"]]
         else:
             units = np.repeat(row.units, len(row.parts) // len(row.units)).tolist()
             depends = row.depends if isinstance(row.depends, tuple) else (row.depends,) * len(row.parts)

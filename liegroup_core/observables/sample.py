@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from liegroup_core.dynamics.constraints import position_residuals
-from liegroup_core.forces import kinds
+from liegroup_core.forces import kinds, law
 from liegroup_core.forces.acting import Acting
 from liegroup_core.forces.external import power as power_of
 from liegroup_core.forces.external import set_external_wrenches
@@ -152,7 +152,7 @@ class Sample:
         forces = self._layout.model.forces
         rates = self.prescribed
         driving = sum(effort * rates[joint][1] for joint, effort in self.drive_efforts.items())
-        driving += kinds.power(forces, self.angles, self.acting.targets, *self._state)
+        driving += kinds.power(forces, self.angles, self.acting.targets, self.registers, *self._state)
         return driving + power_of(self._layout.wrenches_at(just_after(self.time)), *self._state)
 
     @cached_property
@@ -291,17 +291,38 @@ class Sample:
         return {name: found[name] for name in layout.joint_forces}
 
     @cached_property
+    def registers(self) -> NDArray[np.float64]:
+        """(m, 2) numbers of the laws, see forces/law.py."""
+        found = kinds.registers_at(self._layout.model.forces, self.time)
+        law.measure(self._layout.model.forces.laws, self.angles, *self._state, found)
+        return found
+
+    @cached_property
+    def signals(self) -> dict[str, float]:
+        """{LAW.SIGNAL: number} of the laws of the scene."""
+        places = self._layout.signals
+        return dict(zip(places, self.registers[list(places.values()), 0].tolist())) if places else {}
+
+    @cached_property
+    def law_efforts(self) -> dict[str, float]:
+        """{joint: N m or N} sum of the efforts of the laws on the child of a joint."""
+        found = {}
+        for joint, register in self._layout.law_efforts:
+            found[joint] = found.get(joint, 0.0) + float(self.registers[register, 0])
+        return found
+
+    @cached_property
     def transmitted(self) -> dict[str, NDArray[np.float64]]:
         """{joint: (6,)} wrench that a joint transmits to its child; axes as for `reactions`.
 
-        Sum of the reaction, `force_efforts` and `joint_efforts`, as an ideal force-torque sensor between the
-        joint and its child measures it.
+        Sum of the reaction, `force_efforts`, `law_efforts` and `joint_efforts`, as an ideal force-torque sensor
+        between the joint and its child measures it.
         """
         found = {joint: wrench.copy() for joint, wrench in self.reactions.items()}
         for force, effort in zip(self._layout.joint_forces.values(), self.force_efforts.values()):
             found[force.joint][2 if force.joint_moves == "turns" else 5] += effort
         units = self._layout.coordinates.units
-        for joint, effort in self.joint_efforts.items():
+        for joint, effort in (*self.joint_efforts.items(), *self.law_efforts.items()):
             found[joint][2 if units[joint] == "rad" else 5] += effort
         return found
 
@@ -362,13 +383,13 @@ class Sample:
 
     @cached_property
     def total_efforts(self) -> dict[str, float]:
-        """{joint: N m or N}: sum of its effort in `joint_efforts`, that of its drive and those of its `force_efforts`.
+        """{joint: N m or N}: sum of its effort in `joint_efforts`, those of its drive, laws and `force_efforts`.
 
         Joints at which nothing acts are not in it. Friction and stops are not included.
         """
         efforts = {**self.joint_efforts}
         found = ((force.joint, self.force_efforts[name]) for name, force in self._layout.joint_forces.items())
-        for joint, effort in (*self.drive_efforts.items(), *found):
+        for joint, effort in (*self.drive_efforts.items(), *found, *self.law_efforts.items()):
             efforts[joint] = efforts.get(joint, 0.0) + effort
         return efforts
 

@@ -56,7 +56,7 @@ def _body_at_centre(body):
 
 def _shifted(link, com):
     """Joint or force with its points and frames relative to the centres of mass."""
-    moved = {}
+    moved = link.at_centres(com) if hasattr(link, "at_centres") else {}
     for key, end in PLACES.items():
         place = getattr(link, key, None)
         if place is None:

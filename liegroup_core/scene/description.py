@@ -35,6 +35,7 @@ from liegroup_core.fields.values import (
 from liegroup_core.forces import kinds as force_kinds
 from liegroup_core.forces.kinds import *  # noqa: F403 (the classes of all forces)
 from liegroup_core.forces.kinds import FORCES
+from liegroup_core.forces.law import refuse_law
 from liegroup_core.joints import kinds as joint_kinds
 from liegroup_core.joints.coupling import COUPLED, Coupling
 from liegroup_core.joints.kinds import *  # noqa: F403 (the classes of all joints)
@@ -196,7 +197,8 @@ class Scene(Described):
         """[(joint, force or coupling)]: names for each unwrapped angle; see forces/axis.py."""
         types = {joint.name: joint.type for joint in self.joints}
         coupled = [(name, e.name) for e in self.couplings for name in e.counted if TYPES[types[name]].turns]
-        return force_kinds.unwrapped(self.forces, coupled)
+        turning = [name for name, kind in types.items() if TYPES[kind].coordinate == "rad"]
+        return force_kinds.unwrapped(self.forces, coupled, turning)
 
     @property
     def robot(self):
@@ -236,8 +238,12 @@ class Scene(Described):
             refuse_motion(joint, self.forces, i)
             refuse_switches(joint, i)
         kinds = {joint.name: joint.type for joint in self.joints}
+        moves, signals = [joint.name for joint in self.joints if TYPES[joint.type].coordinate], []
         for key, i, link in links:
-            if hasattr(link, "joint"):
+            if link.type == "law":
+                refuse_law(link, bodies, moves, signals, i)
+                signals += [f"{link.name}.{signal}" for signal in link.signals]
+            elif hasattr(link, "joint"):
                 refuse_joint(link, kinds, i)
             elif hasattr(link, "body"):
                 refuse_unknown("body", link, bodies, key, i)

@@ -4,6 +4,7 @@
 from typing import NamedTuple, get_args
 
 from liegroup_core.fields.frames import Frame
+from liegroup_core.forces.law import LawInput, LawOutput, LawTable
 from liegroup_core.joints.coupling import Coupling
 from liegroup_core.joints.motion import Motion
 from liegroup_core.joints.rotor import Rotor
@@ -29,6 +30,9 @@ PARTS = {
     "couplings": (Coupling,),
     "backlash of a coupling": (Backlash,),
     "forces": FORCES,
+    "input of a law": (LawInput,),
+    "table of a law": (LawTable,),
+    "output of a law": (LawOutput,),
     "sensors": SENSORS,
     "drive": (Drive,),
     "file beside a robot": (RobotFile,),

@@ -45,6 +45,9 @@ def _numbers(value, path):
     elif isinstance(value, tuple):
         for i, entry in enumerate(value):
             yield from _numbers(entry, (*path, getattr(entry, "name", str(i))))
+    elif isinstance(value, dict):
+        for key, entry in value.items():
+            yield from _numbers(entry, (*path, key))
     elif isinstance(value, Described):
         for key in type(value).model_fields:
             if _is_parameter(value, key):
@@ -71,7 +74,7 @@ def _is_parameter(model, key):
         return False
     if key == "rate":
         return TYPES[model.type].rate is not None
-    return key != "quaternion" and (key == "length" or isinstance(entry, (float, tuple, Described)))
+    return key != "quaternion" and (key == "length" or isinstance(entry, (float, tuple, dict, Described)))
 
 
 def _entry(model, key):
@@ -131,6 +134,8 @@ def _changed(value, tree):
     if isinstance(value, tuple):
         labels = [getattr(entry, "name", str(i)) for i, entry in enumerate(value)]
         return [_changed(entry, tree[label]) if label in tree else entry for label, entry in zip(labels, value)]
+    if isinstance(value, dict):
+        return {key: _changed(entry, tree[key]) if key in tree else entry for key, entry in value.items()}
     update = {key: _changed(_entry(value, key), branch) for key, branch in tree.items()}
     other = [key for key in ROTATIONS if key != "rotation_vector"]
     return value.remade(other if "rotation_vector" in tree else (), **update)

@@ -97,7 +97,7 @@ class Balance:
         layout, (acting, _, modes) = self._layout, self._acting.at(self._stretch, time)
         out = np.zeros((len(times), IMPACTS))
         if self._has_forces:
-            out[:, :WRENCHES] = powers(layout, angles, acting.targets, pose, twist)
+            out[:, :WRENCHES] = powers(layout, angles, acting.targets, times, pose, twist)
         if acting.external[:, :6].any() or acting.external[:, 15].any():
             out[:, WRENCHES] = [power(acting.external, *state) for state in zip(pose, twist)]
         if self._has_joints:

@@ -49,6 +49,19 @@ linear_servo:
 drag:
   - {name: s, body: a, linear: 2, quadratic: 3, angular: 0.5, angular_quadratic: 0.7}
   - {name: t, body: b, quadratic: 1}
+law:
+  - name: s
+    inputs: {q: between.position, w: between.velocity, x: a.x, v: {quantity: b.vy, point: [0.1, 0.2, 0.3]}}
+    parameters: {k: 3, c: 0.7}
+    tables: {cog: {x: [-9, -3, 2, 30], y: [1, -2, 3, 0.5]}}
+    signals: {e: "tanh(q - 9)*k + cog(q)", f: "e*w**2 if w > 0 else sqrt(1 + x**2)*w"}
+    outputs: [{joint: between, effort: "clip(f, -8, 8) - c*v*abs(w) + 3"}]
+  - name: t
+    inputs: {x: a.x, y: {quantity: a.y, point: [0.4, 0, 0.2]}, qx: a.qx, qy: a.qy, qz: a.qz, qw: c.qw, w: c.wz}
+    outputs:
+      - {body: a, force: [2*qx + 1, "exp(-x**2)*qz", y*qw], torque: ["atan2(x, y)", 1, w*qw], point: [0.3, 1, 2],
+         axes: world}
+      - {body: c, force: [w - 1, x*y, 3], torque: [qy*w, qw*qz, "max(x, y, w)"], point: [0.1, 0, -1]}
 applied_wrench:
   - {name: s, body: a, torque: [1, 2, 3], force: [4, 5, -6], point: [1, 0.2, 3]}
   - {name: t, body: b, torque: [1, 2, 3], force: [4, 5, -6], point: [1, 0.2, 3], axes: world}
@@ -56,7 +69,7 @@ applied_wrench:
 CLASSES = {cls.model_fields["type"].default: cls for cls in FORCES}
 EXAMPLES = {kind: [CLASSES[kind](**entry) for entry in entries] for kind, entries in EXAMPLES.items()}
 IN_ROWS = [kind for kind in EXAMPLES if kind != "applied_wrench"]
-DRIVEN = ("motor", "linear_motor", "servo", "linear_servo")  # their power may be positive
+DRIVEN = ("motor", "linear_motor", "servo", "linear_servo", "law")  # their power may be positive
 ELASTIC = [kind for kind in EXAMPLES if kind.endswith("spring_damper")]
 SEEDS = range(4)
 
@@ -81,14 +94,15 @@ class State:
         self.matrices = pose
         self.twist = rng.normal(size=(3, 6))
         described = EXAMPLES[kind] if described is None else described
-        self.forces = kinds.make_forces(described, INDEX, ends, kinds.unwrapped(described))
+        counted = kinds.unwrapped(described, turning=ON_JOINTS)
+        self.forces = kinds.make_forces(described, INDEX, ends, counted)
         self.angle = np.full(len(self.forces.counted), 20.0)  # three turns
         kinds.count_turns(self.forces, flat(pose), self.angle)
-        self.targets = kinds.target_values(self.forces)
+        self.targets, self.registers = kinds.target_values(self.forces), kinds.registers_at(self.forces, 2.0)
 
     def wrench(self, twist):
         out = np.zeros((3, 6))
-        kinds.add_wrenches(self.forces, self.angle, self.targets, flat(self.matrices), twist, out)
+        kinds.add_wrenches(self.forces, self.angle, self.targets, self.registers, flat(self.matrices), twist, out)
         return out
 
     def energy(self, motion=np.zeros((3, 6))):
@@ -97,7 +111,7 @@ class State:
         return kinds.energy(self.forces, self.angle, flat(moved))
 
     def power(self, twist):
-        return kinds.power(self.forces, self.angle, self.targets, flat(self.matrices), twist)
+        return kinds.power(self.forces, self.angle, self.targets, self.registers, flat(self.matrices), twist)
 
 
 def flat(matrices):
@@ -161,13 +175,13 @@ def test_the_change_of_the_wrench_is_its_derivative(kind, seed):
     state, rng = State(kind, seed), np.random.default_rng([seed, 9])
     moves, rates, shifts = rng.normal(size=(3, 6)), rng.normal(size=(3, 6)), rng.normal(size=state.targets.shape)
     found, sums, at = np.zeros((3, 6)), np.zeros((3, 6)), np.zeros((1, 2))  # an offset of one row
-    given = state.forces, state.angle, state.targets, flat(state.matrices), state.twist
+    given = state.forces, state.angle, state.targets, state.registers, flat(state.matrices), state.twist
     kinds.add_changes(*given, moves, rates, np.concatenate([at, shifts]), 1, found)
     for step, weight in ((-2, 1.0), (-1, -8.0), (1, 8.0), (2, -1.0)):
         s, out = 1e-3 * step, np.zeros((3, 6))
         moved = flat([displaced(matrix, s * twist) for matrix, twist in zip(state.matrices, moves)])
         targets, twist = state.targets + s * shifts, state.twist + s * rates
-        kinds.add_wrenches(state.forces, state.angle, targets, moved, twist, out)
+        kinds.add_wrenches(state.forces, state.angle, targets, state.registers, moved, twist, out)
         sums += weight * out / 12e-3
     size = max(1.0, np.abs(sums).max(), np.abs(state.wrench(state.twist)).max())
     assert np.abs(found - sums).max() <= 1e-8 * size
@@ -237,7 +251,9 @@ def test_without_rows_nothing_happens():
     state = State("drag", 0, described=[])
     wrench = np.random.default_rng(0).normal(size=(3, 6))
     before = wrench.tobytes()
-    kinds.add_wrenches(state.forces, state.angle, state.targets, flat(state.matrices), state.twist, wrench)
+    state.wrench(state.twist)
+    pose = flat(state.matrices)
+    kinds.add_wrenches(state.forces, state.angle, state.targets, state.registers, pose, state.twist, wrench)
     assert wrench.tobytes() == before
     assert state.energy() == 0.0 and state.power(state.twist) == 0.0
     assert kinds.too_fast(state.forces, 1e9, flat(state.matrices), state.twist) == -1

@@ -191,6 +191,9 @@ forces:
   - {{name: f5, type: servo, joint: turn, stiffness: 4, damping: 0.3, position: 0.4, velocity: 2, effort_limit: 9}}
   - {{name: f6, type: linear_servo, joint: slide, stiffness: 40, damping: 3, position: 0.3, velocity: -1}}
   - {{name: f7, type: drag, body: e, linear: 2, quadratic: 3, angular: 0.5, angular_quadratic: 0.7}}
+  - {{name: f9, type: law, inputs: {{q: turn.position, w: slide.velocity, x: e.x, n: c.qy}}, parameters: {{k: 3}},
+      outputs: [{{joint: turn, effort: k*sin(q)*x + w**2}},
+                {{body: c, force: [n*w, 2*x, q], torque: [1, x, w], point: [0.1, 0.2, 0], axes: world}}]}}
   - {{name: f8, type: applied_wrench, body: c, torque: [1, 2, 3], force: [4, 5, -6], point: [1, 0.2, 3], axes: world}}
 """
 

@@ -44,7 +44,8 @@ def loads_of_bodies(model, work, external_in):
     copy_bodies(model, work.stage_pose, work.stage_twist, pose, twist)
     set_external_wrenches(external, pose, work.wrench)
     add_gravity(model.space, pose, work.wrench)
-    add_wrenches(model.space.forces, work.angle, work.targets, pose, twist, work.wrench)
+    work.registers[0, 0] = work.clock.now[0]
+    add_wrenches(model.space.forces, work.angle, work.targets, work.registers, pose, twist, work.wrench)
     return 0
 
 

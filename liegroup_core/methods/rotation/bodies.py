@@ -90,6 +90,9 @@ def misfit(layout):
         if element["child"] in held:
             return f"it allows one spherical joint per body, but {joint.child} has more"
         held.add(element["child"])
+    for force in layout.scene.forces:
+        if force.type == "law" and force.uses_time:
+            return f"its stages have no times, but the law {force.name} depends on t"
     return ""
 
 

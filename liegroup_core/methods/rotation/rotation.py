@@ -98,7 +98,8 @@ def advance(model, work, spinners, memory, loads, corrections, rule, weights, h,
         while not finished:
             set_external_wrenches(external, work.stage_pose, work.wrench)
             add_gravity(model, work.stage_pose, work.wrench)
-            add_wrenches(model.forces, work.angle, work.targets, work.stage_pose, work.stage_twist, work.wrench)
+            stage_pose, stage_twist = work.stage_pose, work.stage_twist
+            add_wrenches(model.forces, work.angle, work.targets, work.registers, stage_pose, stage_twist, work.wrench)
             if rule == RUNGE_KUTTA:
                 status, finished = staged(spinners, work, memory, weights, h, evaluation, pose, twist)
             elif rule < FIRST_ITERATED:

@@ -1,0 +1,516 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Laws: efforts of joints and wrenches on bodies by formulas of the user, see formulas.py.
+
+Inputs are numbers of a state: coordinates and rates of joints, positions, attitudes and velocities of points of bodies,
+and signals of earlier laws. Signals are formulas of the time, inputs, parameters, tables and earlier signals. Outputs
+are formulas, too:
+
+    effort of a joint      torque about or force along its z axis on the child, the opposite on the parent (axis.py)
+    wrench on a body       torque and force at a point of the body, in its axes or in world axes
+
+All laws of a scene are one program, evaluated once a stage. Its registers are memory of a run; the first is the time.
+"""
+
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import BeforeValidator, Field, WithJsonSchema, model_validator
+
+from liegroup_core.compiling import Struct, kernel
+from liegroup_core.errors import SceneError
+from liegroup_core.fields.values import Described, Name, Number, Text, Vector3, listed, place_text, suggestion
+from liegroup_core.lie.so3 import so3_to_quaternion
+from liegroup_core.lie.vec3 import add3, cross3, dot3, load3, load9, tmatvec3, vector3
+
+from . import axis
+from .described import Force
+from .formulas import RESERVED, TIME, FormulaError, Program, differentiate, evaluate, names_in, table_arrays
+from .points import point, point_velocity
+
+POSITION, RATE, PLACE, ATTITUDE, SPIN, SPEED = range(6)  # what an input is
+# {part of a quantity of a body: (what, component)}
+OF_BODY = (
+    {name: (PLACE, k) for k, name in enumerate("xyz")}
+    | {f"q{name}": (ATTITUDE, k) for k, name in enumerate("xyzw")}
+    | {f"{what}{name}": (kind, k) for what, kind in (("w", SPIN), ("v", SPEED)) for k, name in enumerate("xyz")}
+)
+OF_JOINT = {"position": POSITION, "velocity": RATE}
+INPUT = np.dtype(
+    [
+        ("what", "i8"),
+        ("component", "i8"),
+        ("to", "i8"),  # register
+        ("body", "i8"),
+        ("point", "f8", (3,)),  # m, in the frame of the body
+        ("angle", "i8"),  # index of the unwrapped angle, or -1
+        *axis.FIELDS,
+    ],
+    align=True,
+)
+OUTPUT = np.dtype(
+    [
+        ("body", "i8"),  # -1: an effort of a joint
+        ("registers", "i8", (6,)),  # torque, force; of an effort the first
+        ("in_world", "i8"),  # 1: in world axes
+        ("point", "f8", (3,)),
+        *axis.FIELDS,
+    ],
+    align=True,
+)
+ORIGIN = (0.0, 0.0, 0.0)
+NO_AXIS = axis.fields(False, -1, -1, np.eye(4), np.eye(4))
+
+
+class Laws(Struct):
+    """All laws of a scene."""
+
+    inputs: np.ndarray  # (k,) of INPUT
+    code: np.ndarray  # (p, 5) instructions
+    tables: np.ndarray  # (t + 1,) first points of the tables
+    points: np.ndarray  # (n, 2) their points
+    outputs: np.ndarray  # (o,) of OUTPUT
+    registers: np.ndarray  # (m, 2) at the start: value, derivative
+
+
+def _quantity(value):
+    return {"quantity": value} if isinstance(value, str) else value
+
+
+def _formula(value):
+    if isinstance(value, bool) or not isinstance(value, (str, int, float, np.integer, np.floating)):
+        raise ValueError('must be a formula, such as "k*(1 - q)", or a number')
+    try:
+        names_in(value)
+    except FormulaError as error:
+        raise SceneError(f"{error}") from None
+    return value if isinstance(value, str) else repr(float(value))
+
+
+def _three(value):
+    value = listed(value)
+    if len(value) != 3:
+        raise ValueError("must be three formulas [x, y, z]; quote a formula that has a comma")
+    return value
+
+
+def _rising(values):
+    if len(values) < 2 or not all(a < b for a, b in zip(values, values[1:])):
+        raise ValueError("must be at least two numbers that increase")
+    return values
+
+
+Formula = Annotated[str, BeforeValidator(_formula), WithJsonSchema({"type": ["string", "number"]})]
+Formulas = Annotated[tuple[Formula, Formula, Formula], BeforeValidator(_three)]
+Numbers = Annotated[tuple[Number, ...], BeforeValidator(listed)]
+
+
+class LawInput(Described):
+    """Number of a state that a law reads; a text alone is its quantity."""
+
+    quantity: Text = Field(
+        description="JOINT.position or JOINT.velocity of a joint with one coordinate; BODY.x y z (world axes), "
+        "qx qy qz qw, wx wy wz or vx vy vz (body axes) of a body; LAW.SIGNAL of an earlier law"
+    )
+    point: Vector3 | None = Field(
+        None, description="point of the body in m, in its frame, for its x y z vx vy vz; default: its origin"
+    )
+
+
+class LawTable(Described):
+    """Function by linear interpolation between points; beyond them the value at the end."""
+
+    x: Numbers = Field(description="values of the argument, increasing")
+    y: Numbers = Field(description="values of the function, as many")
+
+    @model_validator(mode="after")
+    def _check(self):
+        try:
+            _rising(self.x)
+        except ValueError as error:
+            raise SceneError(f"x {error}", place=("x",)) from None
+        if len(self.y) != len(self.x):
+            raise SceneError(f"y must have as many values as x, {len(self.x)}, and has {len(self.y)}", place=("y",))
+        return self
+
+
+class LawOutput(Described):
+    """What a law exerts: the effort of a joint, or a wrench on a body."""
+
+    joint: Text | None = Field(None, description="name of a joint with one coordinate")
+    effort: Formula | None = Field(None, description="formula of its torque in N m or force in N on the child")
+    body: Text | None = Field(None, description="name of a body, in place of joint and effort")
+    torque: Formulas = Field(("0", "0", "0"), description="three formulas, N m")
+    force: Formulas = Field(("0", "0", "0"), description="three formulas, N")
+    point: Vector3 = Field((0.0, 0.0, 0.0), description="point of application in m, in the body frame")
+    axes: Literal["body", "world"] = Field("body", description="axes of torque and force: body or world")
+
+    @model_validator(mode="after")
+    def _check(self):
+        if (self.joint is None) == (self.body is None):
+            raise SceneError("give either joint and effort, or body with torque and force")
+        if (self.effort is None) != (self.joint is None):
+            raise SceneError("effort belongs to joint: give both", place=("effort",))
+        return self
+
+    @property
+    def formulas(self):
+        """[(key, formula)]: one, or six."""
+        if self.body is None:
+            return [("effort", self.effort)]
+        return [(key, text) for key in ("torque", "force") for text in getattr(self, key)]
+
+
+class Law(Force):
+    """Efforts and wrenches by formulas."""
+
+    type: Literal["law"] = Field("law", description="law")
+    inputs: dict[Name, Annotated[LawInput, BeforeValidator(_quantity)]] = Field(
+        {}, description="{name: quantity} that its formulas use"
+    )
+    parameters: dict[Name, Number] = Field({}, description="{name: number}, which sweep and identify can vary")
+    tables: dict[Name, LawTable] = Field({}, description="{name: {x: [...], y: [...]}}, used as name(value)")
+    signals: dict[Name, Formula] = Field(
+        {}, description="{name: formula}, in order; recorded and plotted as LAW.SIGNAL; see the guide of laws"
+    )
+    outputs: Annotated[tuple[LawOutput, ...], BeforeValidator(listed)] = Field(
+        (), description="list of efforts of joints and wrenches on bodies"
+    )
+
+    @model_validator(mode="after")
+    def _check(self):
+        known = {}
+        for key in ("inputs", "parameters", "tables", "signals"):
+            for name in getattr(self, key):
+                if name in RESERVED:
+                    raise SceneError(f"{key}: the name {name} is taken by formulas: choose another", place=(key, name))
+                if name in known:
+                    raise SceneError(
+                        f"{key}: {name} is also one of its {known[name]}: choose another", place=(key, name)
+                    )
+                known[name] = key
+        if not self.signals and not self.outputs:
+            raise SceneError("outputs is missing: a law exerts efforts or wrenches, or has signals", place=("outputs",))
+        try:
+            self.compile(Program(), {})
+        except _Misplaced as error:
+            raise SceneError(error.text, place=error.place) from None
+        return self
+
+    def compile(self, program, others):
+        """({input: register}, {signal: register}, [registers of each output]) in a Program.
+
+        others : {LAW.SIGNAL: register} of earlier laws; an input that is none of them gets a register of its own
+        """
+        inputs = {}
+        for name, each in self.inputs.items():
+            inputs[name] = others[each.quantity] if each.quantity in others else program.new()
+        names = {TIME: 0} | inputs | {name: program.new(value) for name, value in self.parameters.items()}
+        tables = {name: program.table(each.x, each.y) for name, each in self.tables.items()}
+        signals = {}
+        for name, text in self.signals.items():
+            signals[name] = names[name] = _compiled(program, text, names, tables, ("signals", name))
+        outputs = [
+            [_compiled(program, text, names, tables, ("outputs", k, key)) for key, text in each.formulas]
+            for k, each in enumerate(self.outputs)
+        ]
+        return inputs, signals, outputs
+
+    @property
+    def uses_time(self):
+        """Whether a formula has the time."""
+        texts = (*self.signals.values(), *(text for each in self.outputs for _, text in each.formulas))
+        return any(TIME in names_in(text) for text in texts)
+
+    def on_bodies(self, child_of):
+        """Names of the bodies that it reads or acts on, of joints the child, and of laws; child_of : {joint: body}."""
+        found = [each.quantity.rpartition(".")[0] for each in self.inputs.values()]
+        found += [each.joint or each.body for each in self.outputs]
+        return sorted({child_of.get(name, name) for name in found})
+
+    def at_centres(self, com):
+        """Entries that change if body frames are at the centres of mass; com : {body: (3,) m}."""
+
+        def moved(entry, body, moves=True):
+            return entry.remade(point=np.array(entry.point or ORIGIN) - com[body]) if moves and body in com else entry
+
+        inputs = {}
+        for name, each in self.inputs.items():
+            owner, _, part = each.quantity.rpartition(".")
+            inputs[name] = moved(each, owner, _has_point(part))
+        return {"inputs": inputs, "outputs": [moved(each, each.body) for each in self.outputs]}
+
+
+def _has_point(part):
+    """Whether a quantity of a body with this part is one of a point of the body."""
+    return OF_BODY.get(part, (None,))[0] in (PLACE, SPEED)
+
+
+class _Misplaced(Exception):
+    def __init__(self, text, place):
+        super().__init__(text)
+        self.text, self.place = text, place
+
+
+def _compiled(program, text, names, tables, place):
+    try:
+        return program.compile(text, names, tables)
+    except FormulaError as error:
+        raise _Misplaced(f"{place_text(place, {})}: {error}", place) from None
+
+
+def refuse_law(law, bodies, moves, earlier, i):
+    """Refuse a law whose quantities, joints or bodies do not exist.
+
+    bodies : names;  moves : names of the joints with one coordinate;  earlier : [LAW.SIGNAL]
+    """
+    where = f'forces[{i}] "{law.name}": '
+    known = [f"{joint}.{part}" for joint in moves for part in OF_JOINT]
+    known += [f"{body}.{part}" for body in bodies for part in OF_BODY] + list(earlier)
+    for name, each in law.inputs.items():
+        place = ("forces", i, "inputs", name)
+        if each.quantity not in known:
+            hint = suggestion(each.quantity, known)
+            raise SceneError(
+                f"{where}inputs.{name}: {each.quantity!r:.60} is no quantity of a law; {hint}", place=place
+            )
+        owner, _, part = each.quantity.rpartition(".")
+        if each.point is not None and not (owner in bodies and _has_point(part)):
+            raise SceneError(f"{where}inputs.{name}: {each.quantity} has no point: omit it", place=place)
+    for k, each in enumerate(law.outputs):
+        for key, names, what in (("joint", moves, "joint with one coordinate"), ("body", bodies, "body")):
+            name = getattr(each, key)
+            if name is not None and name not in names:
+                hint = suggestion(name, list(names)) if names else f"the scene has no {what}"
+                raise SceneError(
+                    f"{where}outputs[{k}]: {key} {name!r:.40} is not a {what}; {hint}",
+                    place=("forces", i, "outputs", k, key),
+                )
+
+
+def laws_of(described):
+    """Laws among the forces of a scene."""
+    return [force for force in described if force.type == "law"]
+
+
+def unwrapped_inputs(described, turning):
+    """[(joint, name)] of the unwrapped angles of laws; turning : names of joints whose coordinate is an angle."""
+    found = {}
+    for law in laws_of(described):
+        for each in law.inputs.values():
+            joint, _, part = each.quantity.rpartition(".")
+            if part == "position" and joint in turning:
+                found[joint] = f"{law.name} at {joint}"
+    return list(found.items())
+
+
+def signals_of(described):
+    """{LAW.SIGNAL: register} of a scene, in order; those of `make_laws`."""
+    return _compile_all(described)[1]
+
+
+def _compile_all(described):
+    program, signals, found = Program(), {}, []
+    for law in laws_of(described):
+        inputs, own, outputs = law.compile(program, signals)
+        found.append((law, inputs, outputs))
+        signals |= {f"{law.name}.{name}": register for name, register in own.items()}
+    return program, signals, found
+
+
+def make_laws(described, index, ends, angles, slides):
+    """Laws of the forces of a scene.
+
+    index, ends : see kinds.make_forces;  angles : {joint: index of its unwrapped angle}
+    slides : names of the joints whose coordinate is a displacement
+    """
+    program, signals, found = _compile_all(described)
+    inputs, outputs = [], []
+    for law, registers, written in found:
+        for name, each in law.inputs.items():
+            if each.quantity in signals:
+                continue
+            owner, _, part = each.quantity.rpartition(".")
+            if owner in ends and part in OF_JOINT:
+                motion = axis.fields(owner in slides, *ends[owner])
+                inputs.append((OF_JOINT[part], 0, registers[name], -1, ORIGIN, angles.get(owner, -1), *motion))
+            else:
+                inputs.append((*OF_BODY[part], registers[name], index[owner], each.point or ORIGIN, -1, *NO_AXIS))
+        for each, own in zip(law.outputs, written):
+            if each.body is None:
+                motion = axis.fields(each.joint in slides, *ends[each.joint])
+                outputs.append((-1, own * 6, 0, each.point, *motion))
+            else:
+                outputs.append((index[each.body], own, each.axes == "world", each.point, *NO_AXIS))
+    begins, points = table_arrays(program.tables)
+    registers = np.zeros((len(program.registers), 2))
+    registers[:, 0] = program.registers
+    return Laws(
+        inputs=np.array(inputs, dtype=INPUT),
+        code=np.array(program.code, dtype=np.int64).reshape(-1, 5),
+        tables=begins,
+        points=points,
+        outputs=np.array(outputs, dtype=OUTPUT),
+        registers=registers,
+    )
+
+
+@kernel
+def _velocity(row, twist):
+    """Velocity of the point of an input in the axes of its body."""
+    body = row["body"]
+    return add3(load3(twist, body, 3), cross3(load3(twist, body, 0), vector3(row["point"])))
+
+
+@kernel
+def _turned(q, turn, k):
+    """Component k of the derivative of a quaternion (x, y, z, w) along a rotation vector in body axes."""
+    x, y, z, w = q
+    if k == 0:
+        return 0.5 * (w * turn[0] + y * turn[2] - z * turn[1])
+    if k == 1:
+        return 0.5 * (w * turn[1] + z * turn[0] - x * turn[2])
+    if k == 2:
+        return 0.5 * (w * turn[2] + x * turn[1] - y * turn[0])
+    return -0.5 * (x * turn[0] + y * turn[1] + z * turn[2])
+
+
+@kernel
+def _read(laws, angle, pose, twist, registers):
+    """Write the values of all inputs to their registers."""
+    for e in range(len(laws.inputs)):
+        row = laws.inputs[e]
+        what, k, body, value = row["what"], row["component"], row["body"], 0.0
+        if what == POSITION:
+            value = axis.coordinate(row, pose, angle[row["angle"]] if row["angle"] >= 0 else 0.0)
+        elif what == RATE:
+            value = axis.rate(row, axis.unit_wrenches(row, pose), twist)
+        elif what == PLACE:
+            value = point(pose, body, vector3(row["point"]))[k]
+        elif what == ATTITUDE:
+            value = so3_to_quaternion(load9(pose, body, 0))[k]
+        elif what == SPIN:
+            value = twist[body, k]
+        else:
+            value = _velocity(row, twist)[k]
+        registers[row["to"], 0] = value
+
+
+@kernel
+def _read_changes(laws, pose, twist, moves, rates, registers):
+    """Write the derivatives of all inputs along displacements, see kinds.add_changes; returns whether any changes."""
+    changes = False
+    for e in range(len(laws.inputs)):
+        row = laws.inputs[e]
+        what, k, body, value = row["what"], row["component"], row["body"], 0.0
+        if what == POSITION:
+            value = axis.rate(row, axis.unit_wrenches(row, pose), moves)
+        elif what == RATE:
+            value = axis.rate_change(row, axis.unit_wrenches(row, pose), pose, twist, moves, rates)
+        elif what == PLACE:
+            value = point_velocity(pose, moves, body, vector3(row["point"]))[k]
+        elif what == ATTITUDE:
+            value = _turned(so3_to_quaternion(load9(pose, body, 0)), load3(moves, body, 0), k)
+        elif what == SPIN:
+            value = rates[body, k]
+        else:
+            value = _velocity(row, rates)[k]
+        registers[row["to"], 1] = value
+        changes = changes or value != 0.0
+    return changes
+
+
+@kernel
+def _wrench(row, registers, column):
+    """(torque, force) of an output; column 1: their changes."""
+    at = row["registers"]
+    torque = (registers[at[0], column], registers[at[1], column], registers[at[2], column])
+    return torque, (registers[at[3], column], registers[at[4], column], registers[at[5], column])
+
+
+@kernel
+def _in_body(row, pose, torque, force):
+    """Torque about the origin of the body frame and force, body axes."""
+    if row["in_world"] == 1:
+        rot = load9(pose, row["body"], 0)
+        torque, force = tmatvec3(rot, torque), tmatvec3(rot, force)
+    return add3(torque, cross3(vector3(row["point"]), force)), force
+
+
+@kernel
+def _add(body, torque, force, wrench_out):
+    for c in range(3):
+        wrench_out[body, c] += torque[c]
+        wrench_out[body, 3 + c] += force[c]
+
+
+@kernel
+def measure(laws, angle, pose, twist, registers):
+    """Compute all registers (m, 2) in a state; registers[0, 0] is its time."""
+    _read(laws, angle, pose, twist, registers)
+    evaluate(laws.code, laws.tables, laws.points, registers)
+
+
+@kernel
+def add_wrench(laws, angle, registers, pose, twist, wrench_out):
+    """Add the wrenches of all laws.
+
+    angle : (k,) rad, all unwrapped angles after the last step;  registers : see `measure`
+    """
+    if len(laws.outputs) == 0:
+        return
+    measure(laws, angle, pose, twist, registers)
+    for e in range(len(laws.outputs)):
+        row = laws.outputs[e]
+        if row["body"] < 0:
+            axis.apply(row, axis.unit_wrenches(row, pose), registers[row["registers"][0], 0], wrench_out)
+        else:
+            torque, force = _wrench(row, registers, 0)
+            torque, force = _in_body(row, pose, torque, force)
+            _add(row["body"], torque, force, wrench_out)
+
+
+@kernel
+def power(laws, angle, registers, pose, twist):
+    """Power of all laws, W."""
+    total = 0.0
+    if len(laws.outputs) == 0:
+        return total
+    measure(laws, angle, pose, twist, registers)
+    for e in range(len(laws.outputs)):
+        row = laws.outputs[e]
+        if row["body"] < 0:
+            rate = axis.rate(row, axis.unit_wrenches(row, pose), twist)
+            total += registers[row["registers"][0], 0] * rate
+        else:
+            torque, force = _wrench(row, registers, 0)
+            torque, force = _in_body(row, pose, torque, force)
+            total += dot3(torque, load3(twist, row["body"], 0)) + dot3(force, load3(twist, row["body"], 3))
+    return total
+
+
+@kernel
+def add_change(laws, angle, registers, pose, twist, moves, rates, wrench_out):
+    """Add the changes of the wrenches along displacements, see kinds.add_changes."""
+    if len(laws.outputs) == 0:
+        return
+    _read(laws, angle, pose, twist, registers)
+    _read_changes(laws, pose, twist, moves, rates, registers)
+    differentiate(laws.code, laws.tables, laws.points, registers)
+    for e in range(len(laws.outputs)):
+        row = laws.outputs[e]
+        body = row["body"]
+        if body < 0:
+            at = row["registers"][0]
+            unit = axis.unit_wrenches(row, pose)
+            axis.add_change(
+                row, unit, pose, twist, moves, rates, registers[at, 0], 0.0, 0.0, registers[at, 1], wrench_out
+            )
+            continue
+        torque, force = _wrench(row, registers, 1)
+        torque, force = _in_body(row, pose, torque, force)
+        _add(body, torque, force, wrench_out)
+        if row["in_world"] == 1:  # constant in the world: it turns back in the body
+            torque, force = _wrench(row, registers, 0)
+            rot, turn = load9(pose, body, 0), load3(moves, body, 0)
+            torque, force = cross3(tmatvec3(rot, torque), turn), cross3(tmatvec3(rot, force), turn)
+            _add(body, add3(torque, cross3(vector3(row["point"]), force)), force, wrench_out)

@@ -1,0 +1,431 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Laws: formulas against 50 digits, hostile texts, and mechanisms under laws against SciPy."""
+
+import math
+import warnings
+
+import mpmath
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.integrate import solve_ivp
+from volume import some
+
+from liegroup_core import SceneError, Simulation
+from liegroup_core.forces.formulas import FUNCTIONS, FormulaError, Program, differentiate, evaluate, table_arrays
+from liegroup_core.linear import linearise, sensitivities
+from liegroup_core.methods.families import fitting_methods
+from liegroup_core.scene.load import scene_from_text
+
+NAMES = ("x", "y", "z")
+TABLE = ((-2.0, -0.5, 0.25, 3.0), (1.0, -2.0, 0.5, 4.0))
+
+
+# ---------------------------------------------------------------- formulas
+
+
+def random_formula(rng, depth):
+    """Text of a formula of x, y, z with every operation and function."""
+    if depth == 0:
+        return str(rng.choice([*NAMES, f"{rng.uniform(0.2, 3):.3f}", "pi", str(rng.integers(1, 4))]))
+    a, b, c = (random_formula(rng, depth - 1) for _ in range(3))
+    name = rng.choice([*FUNCTIONS, *"+-*/^", "power", "not", "if", "table", "minus"])
+    if name in FUNCTIONS:
+        count = 3 if name in ("min", "clip") else FUNCTIONS[name][1]
+        return f"{name}({', '.join((a, b, c)[:count])})"
+    forms = {"^": f"({a})**{rng.integers(1, 9)}", "power": f"({a})**({b})", "table": f"table({a})", "minus": f"-({a})"}
+    forms |= {"not": f"({a} if not {b} > {c} else {c})", "if": f"({a} if {b} < {c} <= 1 or {a} >= 0 else {b})"}
+    return forms.get(name, f"({a} {name} {b})")
+
+
+def exact(text, at):
+    """Value of a formula with 50 digits, by Python's own evaluation of its text."""
+
+    def table(value):
+        x, y = (list(map(mpmath.mpf, part)) for part in TABLE)
+        k = next((k for k in range(len(x) - 1) if x[k] <= value < x[k + 1]), None)
+        if k is None:
+            return y[0] if value < x[0] else y[-1]
+        return y[k] + (y[k + 1] - y[k]) / (x[k + 1] - x[k]) * (value - x[k])
+
+    def real(function):
+        def of(*values):
+            found = function(*values)
+            if isinstance(found, mpmath.mpc):
+                raise ValueError("no real number")
+            return found
+
+        return of
+
+    functions = {name: real(getattr(mpmath, name)) for name in FUNCTIONS if hasattr(mpmath, name)}
+    functions |= {"min": min, "max": max, "abs": real(abs), "table": table, "pi": mpmath.pi}
+    functions["clip"] = lambda value, low, high: min(max(value, low), high)
+    value = eval(text, functions, at)
+    if isinstance(value, mpmath.mpc) or not mpmath.isfinite(value) or abs(value) > 1e12:
+        raise ValueError("no real number")
+    return mpmath.mpf(value)
+
+
+def compiled(text):
+    """Function of (values, direction) that gives value and derivative of a formula by the kernels."""
+    program = Program()
+    names = {name: program.new() for name in NAMES}
+    to = program.compile(text, names, {"table": program.table(*TABLE)})
+    code, arrays = np.array(program.code, dtype=np.int64).reshape(-1, 5), table_arrays(program.tables)
+
+    def at(values, direction):
+        registers = np.zeros((len(program.registers), 2))
+        registers[:, 0] = program.registers
+        for name, value, change in zip(NAMES, values, direction):
+            registers[names[name]] = value, change
+        plain = registers.copy()
+        evaluate(code, *arrays, plain)
+        differentiate(code, *arrays, registers)
+        assert plain[:, 0].tobytes() == registers[:, 0].tobytes()
+        return registers[to]
+
+    return at
+
+
+def test_random_formulas_and_their_derivatives_have_all_digits():
+    """Against 50 digits: values by Python's evaluation, derivatives by differences of step 1e-20 with 60 digits.
+
+    Sums of 1e3 roundings of numbers up to the largest intermediate one, which the formula itself states: formulas whose
+    value jumps or has a kink within 1e-9 are left out, because there a rounding decides.
+    """
+    rng, checked = np.random.default_rng(5), 0
+    kinds = set()
+    while checked < 300:
+        text = random_formula(rng, int(rng.integers(1, 5)))
+        values, direction = rng.uniform(-2.5, 2.5, size=3), rng.normal(size=3)
+        with mpmath.workdps(60):
+            given = dict(zip(NAMES, map(mpmath.mpf, values.tolist())))
+            along = dict(zip(NAMES, map(mpmath.mpf, direction.tolist())))
+            try:
+                ends = [
+                    exact(text, {n: given[n] + s * along[n] for n in NAMES}) for s in (-1e-9, -1e-20, 0, 1e-20, 1e-9)
+                ]
+            except (ValueError, ZeroDivisionError, OverflowError, TypeError, mpmath.libmp.NoConvergence):
+                continue
+            slope = (ends[3] - ends[1]) / mpmath.mpf(2e-20)
+            far = (ends[4] - ends[0]) / mpmath.mpf(2e-9)
+            if abs(far - slope) > 1e-4 * (1 + abs(slope)) or abs(slope) > 1e6:
+                continue
+        try:
+            value, change = compiled(text)(values.tolist(), direction.tolist())
+        except FormulaError as error:
+            pytest.fail(f"{text}: {error}")
+        kinds |= {name for name in FUNCTIONS if name in text}
+        # Functions lose digits where they are steep; 1e6 is the largest slope kept above.
+        assert abs(value - float(ends[2])) <= 1e-9 * (1 + abs(value)), text
+        assert abs(change - float(slope)) <= 1e-7 * (1 + abs(change)), text
+        checked += 1
+    assert kinds == {*FUNCTIONS}
+
+
+def test_values_that_do_not_exist_are_no_numbers_and_no_errors():
+    at = [0.0, -1.0, 1e300]
+    for text, expected in (
+        ("1/x", math.inf), ("-1/x", -math.inf), ("x/x", math.nan), ("sqrt(y)", math.nan), ("log(x)", -math.inf),
+        ("log(y)", math.nan), ("exp(z)", math.inf), ("z**2", math.inf), ("y**0.5", math.nan), ("x**y", math.inf),
+        ("asin(2)", math.nan), ("sin(1/x)", math.nan), ("y**3", -1.0), ("z*z*0", math.nan), ("atan2(x, x)", 0.0),
+    ):  # fmt: skip
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            value, _ = compiled(text)(at, [1.0, 1.0, 0.0])
+        assert value == expected or value != value and expected != expected, text
+
+
+@pytest.mark.parametrize(
+    "text, reason",
+    [
+        ("q + ", "is no formula"),
+        ("__import__('os').system('true')", "unknown function"),
+        ("q.real", "cannot be used"),
+        ("[q]", "cannot be used"),
+        ("lambda: 1", "cannot be used"),
+        ("q if q", "is no formula"),
+        ("f(q)", "unknown function"),
+        ("sin(q, q)", "takes 1 values, got 2"),
+        ("sin(x=q)", "takes values only"),
+        ("sin(*q)", "takes values only"),
+        ("1e400", "at most"),
+        ("'a'", "is not a number"),
+        ("True", "is not a number"),
+        ("q @ q", "use + - * / **"),
+        ("q & 1", "use + - * / **"),
+        ("~q", "cannot be used"),
+        ("q in q", "comparisons are"),
+        ("kp*Q", "unknown name 'Q'"),
+        ("(" * 300 + "q" + ")" * 300, "is no formula"),
+        ("-" * 900 + "q", "levels"),
+        ("q" * 2001, "at most 2000 characters"),
+        ("9**9**9**9", None),
+        ("\0", "is no formula"),
+        ("(yield)", "cannot be used"),
+        ("(q := 1)", "cannot be used"),
+        ("f'{q}'", "cannot be used"),
+    ],
+)
+def test_a_formula_that_is_none_is_refused_in_one_line(text, reason):
+    law = {"type": "law", "name": "own", "inputs": {"q": "hinge.position"}, "parameters": {"kp": 2.0}}
+    law["outputs"] = [{"joint": "hinge", "effort": text}]
+    if reason is None:
+        pendulum(law)
+        return
+    with pytest.raises(SceneError) as refused:
+        pendulum(law)
+    assert reason in str(refused.value) and "\n" not in str(refused.value) and len(str(refused.value)) < 700
+
+
+def test_hostile_texts_are_refused_or_understood():
+    """2000 texts: formulas with characters replaced, deleted, doubled or moved."""
+    rng, refused = np.random.default_rng(8), 0
+    letters = list("xyz0123456789+-*/()<>=!.,:;[]{}'\"\\ \t\n#@&|~%$_eEjJ\0\u00e9\u4e00") + [
+        "**",
+        "if",
+        "not",
+        "lambda",
+        "__",
+    ]
+    for _ in some(range(2000), 500):
+        text = list(random_formula(rng, int(rng.integers(1, 4))))
+        for _ in range(rng.integers(1, 6)):
+            k = int(rng.integers(len(text))) if text else 0
+            text[k : k + rng.integers(0, 2)] = list(str(rng.choice(letters)))
+        try:
+            compiled("".join(text))([0.3, 1.2, -0.7], [1.0, 0.5, 0.2])
+        except FormulaError as error:
+            refused += 1
+            assert "\n" not in str(error)
+    assert refused > 100
+
+
+def test_a_scene_with_too_many_operations_is_refused():
+    signals = {f"s{k}": " + ".join(f"sin(q + {k}.{n})" for n in range(1, 110)) for k in range(100)}
+    with pytest.raises(SceneError, match="at most 20000 operations"):
+        pendulum({"type": "law", "name": "own", "inputs": {"q": "hinge.position"}, "signals": signals})
+
+
+# ---------------------------------------------------------------- scenes
+
+PENDULUM = """
+name: pendulum
+gravity: [0, 0, -9.81]
+bodies:
+- {name: bob, mass: 0.8, inertia: [0.1, 0.05, 0.1], com: [0, 0, -0.5], rotation_vector: [0, 0.7, 0]}
+joints:
+- {name: hinge, type: revolute, parent: world, child: bob, parent_frame: {axis: [0, 1, 0]},
+   child_frame: {axis: [0, 1, 0]}}
+"""
+INERTIA, WEIGHT = 0.05 + 0.8 * 0.25, 0.8 * 9.81 * 0.5
+
+
+def pendulum(*laws):
+    """The pendulum with laws; its equation is INERTIA q'' = effort - WEIGHT sin(q)."""
+    return scene_from_text(PENDULUM, "test").remade(forces=list(laws))
+
+
+def at_hinge(effort, **keys):
+    inputs = {"q": "hinge.position", "w": "hinge.velocity"}
+    return {"type": "law", "name": "own", "inputs": inputs, "outputs": [{"joint": "hinge", "effort": effort}]} | keys
+
+
+def expected(effort, duration, start=0.7):
+    """(q, w) of the pendulum under effort(t, q, w), by SciPy."""
+    found = solve_ivp(
+        lambda t, y: [y[1], (effort(t, *y) - WEIGHT * np.sin(y[0])) / INERTIA],
+        (0.0, duration),
+        [start, 0.0],
+        method="DOP853",
+        rtol=1e-13,
+        atol=1e-14,
+    )
+    return found.y[:, -1]
+
+
+def _stribeck(_, q, w):
+    return -(0.1 + 0.3 * np.exp(-((w / 0.2) ** 2))) * np.tanh(w / 0.05) - 0.02 * w
+
+
+def _muscle(t, q, w):
+    length = 0.3 - 0.05 * q
+    active = 1 / (1 + np.exp(-4 * np.sin(3 * t)))
+    return 0.05 * 60 * active * np.exp(-(((length / 0.3 - 1) / 0.45) ** 2)) * (1 - w * 0.05 / 0.5)
+
+
+SMOOTH = {
+    "pd that follows a sine": (
+        at_hinge("kp*(0.5*sin(2*t) - q) - kd*w", parameters={"kp": 6.0, "kd": 0.4}),
+        lambda t, q, w: 6.0 * (0.5 * np.sin(2 * t) - q) - 0.4 * w,
+    ),
+    "stribeck friction": (
+        at_hinge("-(c + s*exp(-(w/0.2)**2))*tanh(w/0.05) - 0.02*w", parameters={"c": 0.1, "s": 0.3}),
+        _stribeck,
+    ),
+    "muscle": (
+        at_hinge(
+            "0.05*60*active*shape*(1 - w*0.05/0.5)",
+            signals={
+                "length": "0.3 - 0.05*q",
+                "active": "1/(1 + exp(-4*sin(3*t)))",
+                "shape": "exp(-((length/0.3 - 1)/0.45)**2)",
+            },
+        ),
+        _muscle,
+    ),
+    "magnet at the tip": (
+        {
+            "type": "law",
+            "name": "magnet",
+            "inputs": {
+                "x": {"quantity": "bob.x", "point": [0, 0, -1]},
+                "z": {"quantity": "bob.z", "point": [0, 0, -1]},
+            },
+            "signals": {"dx": "0.3 - x", "dz": "-1.2 - z", "r2": "dx**2 + dz**2 + 0.01"},
+            "outputs": [
+                {"body": "bob", "force": ["0.2*dx/r2**2", 0, "0.2*dz/r2**2"], "point": [0, 0, -1], "axes": "world"}
+            ],
+        },
+        lambda t, q, w: _magnet(q),
+    ),
+}
+
+
+def _magnet(q):
+    # The tip is at (-sin q, -cos q) of x and z, and turns by (-cos q, sin q).
+    x, z = -np.sin(q), -np.cos(q)
+    dx, dz = 0.3 - x, -1.2 - z
+    r2 = dx**2 + dz**2 + 0.01
+    return 0.2 / r2**2 * (dx * -np.cos(q) + dz * np.sin(q))
+
+
+@pytest.mark.parametrize("name", SMOOTH)
+def test_motions_under_smooth_laws_are_those_of_scipy(name):
+    """To 1e-10: both are run a hundred times more exactly."""
+    law, effort = SMOOTH[name]
+    simulation = Simulation(pendulum(law), accuracy=1e-11, quiet=True)
+    simulation.advance_to(2.0)
+    found = simulation.sample().joint_coordinates["hinge"]
+    assert_allclose(found, expected(effort, 2.0), rtol=0, atol=1e-10 * 10)
+
+
+def test_a_ramp_is_a_law():
+    """A torque that grows from 1 s to 2 s to 3 N m and stays: its kinks are met by substeps, to the accuracy."""
+    law = at_hinge("clip(3*(t - 1), 0, 3)")
+    for accuracy in (1e-5, 1e-8):
+        simulation = Simulation(pendulum(law), accuracy=accuracy, quiet=True)
+        simulation.advance_to(4.0)
+        known = expected(lambda t, q, w: min(max(3 * (t - 1), 0), 3), 4.0)
+        assert abs(simulation.sample().joint_coordinates["hinge"] - known).max() <= accuracy
+
+
+@pytest.mark.parametrize("method", ["rkmk4", "rkmk8", "generalized_alpha", "constrained_rattle"])
+def test_laws_of_the_time_keep_the_order_of_every_method(method):
+    """Fitted slopes of the error at three steps; a quarter below the order would be a stage at a wrong time."""
+    law, effort = SMOOTH["pd that follows a sine"]
+    known, errors = expected(effort, 1.0), []
+    order = {"rkmk4": 4, "rkmk8": 8, "generalized_alpha": 2, "constrained_rattle": 2}[method]
+    steps = np.array([1 / 8, 1 / 12, 1 / 16] if order == 8 else [1 / 64, 1 / 128, 1 / 256])
+    for step in steps:
+        simulation = Simulation(pendulum(law), method, step, quiet=True)
+        simulation.advance(round(1 / step))
+        errors.append(np.abs(simulation.sample().joint_coordinates["hinge"] - known).max())
+    slope = np.polyfit(np.log(steps), np.log(errors), 1)[0]
+    assert order - 0.25 <= slope <= order + 1.0, errors
+
+
+def test_rotation_methods_refuse_laws_of_the_time():
+    text = PENDULUM.replace("type: revolute", "type: spherical")
+    wrench = {"type": "law", "name": "spin", "outputs": [{"body": "bob", "torque": [0, 0, "0.1*cos(t)"]}]}
+    scene = scene_from_text(text, "test")
+    fitting = fitting_methods(Simulation(scene, quiet=True).layout)
+    timed = Simulation(scene.remade(forces=[wrench]), quiet=True)
+    assert any(name.startswith("lie_") or "newmark" in name for name in fitting) or len(fitting) > 4
+    lost = {*fitting} - {*fitting_methods(timed.layout)}
+    assert lost
+    with pytest.raises(ValueError, match="the law spin depends on t"):
+        Simulation(scene.remade(forces=[wrench]), sorted(lost)[0], 1e-3, quiet=True)
+
+
+def test_laws_read_signals_of_earlier_laws_and_samples_show_them():
+    filter_ = {"type": "law", "name": "plan", "signals": {"goal": "0.3*t"}}
+    own = at_hinge("5*(goal - q)", inputs={"q": "hinge.position", "goal": "plan.goal"}, signals={"miss": "goal - q"})
+    simulation = Simulation(pendulum(filter_, own), accuracy=1e-6, quiet=True)
+    simulation.advance_to(1.5)
+    sample = simulation.sample()
+    q, _ = sample.joint_coordinates["hinge"]
+    assert sample.signals == {"plan.goal": 0.3 * 1.5, "own.miss": 0.3 * 1.5 - q}
+    assert sample.law_efforts == {"hinge": 5 * (0.3 * 1.5 - q)}
+    assert sample.total_efforts["hinge"] == sample.law_efforts["hinge"]
+    with pytest.raises(SceneError, match="'plan.goal' is no quantity of a law"):
+        pendulum(own, filter_)
+
+
+@pytest.mark.parametrize(
+    "change, reason",
+    [
+        ({"inputs": {"q": "hinge.angle", "w": "hinge.velocity"}}, "'hinge.angle' is no quantity of a law"),
+        ({"inputs": {"q": "bob.x", "w": {"quantity": "bob.qx", "point": [1, 0, 0]}}}, "has no point"),
+        ({"inputs": {"t": "hinge.position"}}, "the name t is taken"),
+        ({"parameters": {"q": 1.0}}, "q is also one of its inputs"),
+        ({"outputs": [{"joint": "hinge"}]}, "effort belongs to joint"),
+        ({"outputs": [{"joint": "nut", "effort": 1}]}, "'nut' is not a joint with one coordinate"),
+        ({"outputs": [{"body": "bib", "force": [1, 0, 0]}]}, "choose one of: bob"),
+        ({"outputs": [{"body": "bob", "force": ["max(1", "q)", 0]}]}, "is no formula"),
+        ({"outputs": [{"body": "bob", "force": [1, 0, 0, 0]}]}, "quote a formula that has a comma"),
+        ({"outputs": []}, "outputs is missing"),
+        ({"tables": {"mu": {"x": [0, 0], "y": [1, 1]}}}, "numbers that increase"),
+        ({"tables": {"mu": {"x": [0, 1], "y": [1]}}}, "as many values as x"),
+        ({"signals": {"e": "later"}, "outputs": []}, "unknown name 'later'"),
+    ],
+)
+def test_a_wrong_law_is_refused_in_one_line(change, reason):
+    with pytest.raises(SceneError) as refused:
+        pendulum(at_hinge("q*w") | change)
+    assert reason in str(refused.value) and "\n" not in str(refused.value)
+
+
+def test_lqr_from_linearise_holds_a_cart_pole():
+    """The gains that linearise and SciPy give, pasted into a law, bring the closed loop where they should."""
+    text = """
+name: cart_pole
+gravity: [0, 0, -9.81]
+bodies:
+- {name: cart, mass: 1, inertia: [0.1, 0.1, 0.1]}
+- {name: pole, mass: 0.2, inertia: [0.02, 0.02, 0.001], com: [0, 0, 0.5]}
+joints:
+- {name: rail, type: prismatic, parent: world, child: cart, parent_frame: {axis: [1, 0, 0]},
+   child_frame: {axis: [1, 0, 0]}}
+- {name: hinge, type: revolute, parent: cart, child: pole, parent_frame: {axis: [0, 1, 0]},
+   child_frame: {axis: [0, 1, 0]}}
+"""
+    scene = scene_from_text(text, "test")
+    # Rail and hinge: M(q) of the cart pole at the upright pose.
+    mass = np.array([[1.2, 0.1], [0.1, 0.02 + 0.2 * 0.25]])
+    A = np.block(
+        [[np.zeros((2, 2)), np.eye(2)], [np.linalg.solve(mass, np.diag([0, 0.2 * 9.81 * 0.5])), np.zeros((2, 2))]]
+    )
+    B = np.concatenate([[0, 0], np.linalg.solve(mass, [1, 0])])[:, None]
+    from scipy.linalg import solve_continuous_are
+
+    gains = (B.T @ solve_continuous_are(A, B, np.diag([4.0, 10, 1, 1]), [[0.5]])).ravel() / 0.5
+    inputs = {"x": "rail.position", "q": "hinge.position", "v": "rail.velocity", "w": "hinge.velocity"}
+    names = dict(zip(("k1", "k2", "k3", "k4"), gains.tolist()))
+    lqr = {"type": "law", "name": "lqr", "inputs": inputs, "parameters": names}
+    lqr["outputs"] = [{"joint": "rail", "effort": "-(k1*x + k2*q + k3*v + k4*w)"}]
+    closed = linearise(Simulation(scene.remade(forces=[lqr]), quiet=True))
+    known = np.linalg.eigvals(A - B @ gains[None, :])
+    assert_allclose(np.sort_complex(np.linalg.eigvals(closed.A)), np.sort_complex(known), rtol=1e-8)
+    assert known.real.max() < -0.5
+    open_loop = linearise(Simulation(scene, quiet=True))
+    assert np.linalg.eigvals(open_loop.A).real.max() > 1.0
+
+
+def test_parameters_of_a_law_have_sensitivities():
+    """d q(1) / d kp against differences of SciPy's solutions."""
+    law = at_hinge("-kp*q - kd*w", parameters={"kp": 6.0, "kd": 0.4})
+    found = sensitivities(pendulum(law), ["own.parameters.kp"], [1.0], ["hinge.position"])
+    ends = [expected(lambda t, q, w, k=k: -k * q - 0.4 * w, 1.0)[0] for k in (6.0 - 1e-3, 6.0 + 1e-3)]
+    slope = (ends[1] - ends[0]) / 2e-3  # error below 1e-3^2 of the third derivative
+    assert found.derivatives.item() == pytest.approx(slope, rel=1e-5)
