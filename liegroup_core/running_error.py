@@ -217,8 +217,7 @@ class RunningError:
             try:
                 self._companion.advance_to_step(meeting)
             except SimulationError as error:
-                self._failed, self.lost = True, f"{LOST}: {error}"
-                self._companion.now = self._companion.base  # wherever it stood before
+                self._fail(error)
         if not self._failed and self._companion.steps < meeting:
             return  # it was halted, too
         if steps != self._next:
@@ -271,6 +270,11 @@ class RunningError:
             except SimulationError:
                 self._companion.now = self._companion.base  # wherever it stood before
 
+    def _fail(self, error):
+        """The companion has ended: what another attempt finds depends on this one."""
+        self._failed, self.lost = True, f"{LOST}: {error}"
+        self._companion.now = self._companion.base  # wherever it stood before
+
     def _follow(self):
         """Advance the companion to the present time. Raises SimulationError."""
         now, other = self.engine.now, self._companion
@@ -280,7 +284,12 @@ class RunningError:
                 now = other.instant_of(self.engine.time_ns)
             else:
                 now = other.instant_inside(whole, Fraction(part, self.ours))
-        other._go(now)
+        try:
+            other._go(now)
+        except SimulationError as error:
+            if other.base.step < now.step:  # else a part of a step failed, which no other one depends on
+                self._fail(error)
+            raise
 
     def _adapt(self):
         """Set the number of steps to the next checkpoint from the substeps since the last one."""
@@ -323,6 +332,9 @@ class RunningError:
         return self._seen, self._seen_largest
 
     def _look_there(self, out):
+        if self._failed:
+            out[:] = math.inf
+            return math.inf, math.inf
         try:
             self._follow()
             return self._measure(self._companion.here(), out)
@@ -336,7 +348,7 @@ class RunningError:
         NaN after SUBSTEPS substeps or fewer: a checkpoint after them is early enough; and after events, which are the
         same for both.
         """
-        engine = self.engine
+        engine, ended = self.engine, (self._failed, self.lost)
         with engine._aside(Engine.MOTION), self._companion._aside(Engine.MOTION):
             before, events = engine.substeps[0], engine.event_count
             try:
@@ -345,7 +357,9 @@ class RunningError:
                 return math.inf
             if engine.substeps[0] - before <= SUBSTEPS or engine.event_count > events:
                 return math.nan
-            return self.estimate.largest_error(self._look_there(np.empty_like(self._seen)))
+            found = self.estimate.largest_error(self._look_there(np.empty_like(self._seen)))
+            self._failed, self.lost = ended  # of an attempt
+            return found
 
     def _watch_motion(self):
         """Update the largest distance of each body from its start, and its largest velocities."""
