@@ -369,11 +369,15 @@ class Layout:
         return Sample(self, time, time_ns, steps, pose, twist, near)
 
     def angles(self, pose, near=None):
-        """Unwrapped angles (k,), see `Scene.unwrapped`, at a pose (n, 12), rad; near: see `sample`."""
+        """Unwrapped angles (k,), see `Scene.unwrapped`, at a pose (n, 12), rad, then states of laws.
+
+        near : see `sample`
+        """
         forces = self.model.forces
-        if not len(forces.counted):
+        if not kinds.count(forces):
             return NO_ANGLES
-        angles = np.full(len(forces.counted), UNKNOWN_TURN)
+        angles = np.full(kinds.count(forces), UNKNOWN_TURN)
+        angles[len(forces.counted) :] = forces.laws.start
         if near is not None:
             angles[:] = near
         kinds.count_turns(forces, pose, angles)

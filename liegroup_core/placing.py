@@ -78,7 +78,8 @@ def place(engine, poses=None, twists=None, joints=None) -> None:
     _refuse_beyond_limits(engine, *state, joints)
     motions, before = engine.inputs.acting.motions.copy(), engine.inputs.commands
     present, applied, events = engine.sample(), engine.inputs.log, engine.events.pending
-    engine.set_state(*state, engine.steps, np.array([angles[joint] for joint in counted]))
+    kept = [*(angles[joint] for joint in counted), *engine._work.angle[len(counted) :]]
+    engine.set_state(*state, engine.steps, np.array(kept))
     _keep_turns(engine, present, joints)
     engine.inputs.commands = _motions_after(engine, motions, before, joints)
     engine.inputs.log, engine.events.pending = applied, events  # the run goes on

@@ -8,6 +8,7 @@ from liegroup_core.mechanism.bodies import PIVOT, SINGULAR_SOLVES
 from liegroup_core.status import OK
 
 from .coordinates import place_bodies, place_links
+from .couplings import add_effort
 from .free_bodies import accelerations_of_free_bodies
 from .loads import GIVEN, MOST_ITERATIONS, begin_loads, settle_loads
 from .loops import POOR, SINGULAR, apply_multipliers, close_loops, project, set_loops
@@ -30,10 +31,15 @@ def apply_forces(model, work, external):
     space = work.space
     place_bodies(model, work, space.stage_pose, space.stage_twist)
     set_external_wrenches(external, space.stage_pose, work.wrench)
+    laws, n = model.space.forces.laws, len(model.bodies)
     work.registers[0, 0] = work.clock.now[0]
+    for s in range(len(model.law_links)):
+        work.registers[laws.states[s, 0], 0] = work.stage_twist[n + model.law_links[s], 0]
     pose, twist = space.stage_pose, space.stage_twist
     add_wrenches(model.space.forces, work.angle, work.targets, work.registers, pose, twist, work.wrench)
     apply_wrenches(model, work)
+    for s in range(len(model.law_links)):
+        add_effort(model, work, model.law_links[s], 0, work.registers[laws.states[s, 1], 0])
 
 
 @subroutine

@@ -28,7 +28,7 @@ from liegroup_core.lie.vec3 import (
     transpose3,
     vector3,
 )
-from liegroup_core.mechanism.arrays import AFTER_CROSS, CROSS
+from liegroup_core.mechanism.arrays import AFTER_CROSS, CROSS, OWN
 from liegroup_core.motion_groups.about_z import nearest_turn
 from liegroup_core.motion_groups.table import relative_pose
 
@@ -133,6 +133,9 @@ def coordinates(model, work, pose, twist):
             rel, p = relative_pose(link, pose, row)
             w, v = se3_Ad_inverse(rel, p, w_a, v_a)
             store(model, planar(model, ((w[0], w[1], w[2] + rate), v)), velocities, b)
+            continue
+        if link["body"] < 0 and place == OWN:
+            project_pose(model, link_of(model, b), rot_a, r_a, pose, row)  # of a state of a law: see `enter`
             continue
         if place != AFTER_CROSS:
             _body_of_link(model, link, pose, twist, world, velocities, b)

@@ -39,6 +39,7 @@ from liegroup_core.scene.consistency import resolve_frames
 from .accelerations import apply_forces, balance
 from .coordinates import coordinates, place_links
 from .impulses import add_impulse, clear_impulses, factor_rows, respond_to_impulses
+from .state import enter_states
 from .trees import move_links
 
 
@@ -164,6 +165,7 @@ def _begin(model, work, pose, twist):
         for c in range(6):
             work.twist[i, c] = work.stage_twist[i, c] = work.space.stage_twist[i, c] = twist[i, c]
     coordinates(model, work, work.pose, work.twist)
+    enter_states(model, work, work.twist)
     for b in range(n, n + len(model.links)):
         for c in range(12):
             work.stage_pose[b, c] = work.pose[b, c]

@@ -6,6 +6,7 @@ dynamics/coordinates.py.
 """
 
 from liegroup_core.compiling import borrowed, kernel, shared
+from liegroup_core.forces import kinds as forces
 from liegroup_core.lie.vec3 import load3, store3
 from liegroup_core.mechanism.arrays import make_relative_work
 from liegroup_core.mechanism.bodies import copy_state, make_work
@@ -32,6 +33,23 @@ def model_and_work(layout, group, options, stages):
 
 
 @kernel
+def enter_states(model, work, twist):
+    """Write the states of laws that are kept to the rates of their links."""
+    first = len(work.angle) - len(model.law_links)
+    for s in range(len(model.law_links)):
+        twist[len(model.bodies) + model.law_links[s], 0] = work.angle[first + s]
+
+
+@kernel
+def count_turns(model, work):
+    """Unwrap the angles at the end of a step, and keep the states of laws."""
+    forces.count_turns(model.space.forces, work.stage_pose, work.angle)
+    first = len(work.angle) - len(model.law_links)
+    for s in range(len(model.law_links)):
+        work.angle[first + s] = work.stage_twist[len(model.bodies) + model.law_links[s], 0]
+
+
+@kernel
 def enter(model, work, pose, twist, external):
     """Continue from the coordinates of the last call, or compute them from a state that was set."""
     copy_state(pose, twist, work.pose, work.twist)
@@ -40,6 +58,7 @@ def enter(model, work, pose, twist, external):
             copy_links(model, work.pose, work.twist)
         else:
             coordinates(model, work, work.pose, work.twist)
+            enter_states(model, work, work.twist)
         work.known[0] = 1.0
         # Bodies that are welded to the world get their poses only here.
         copy_state(work.pose, work.twist, work.stage_pose, work.stage_twist)

@@ -67,11 +67,17 @@ class Forces(Struct):
     exist: bool  # True if there are forces
 
 
-def registers_at(forces, time):
-    """Registers (m, 2) of the laws for a call of their kernels at a time in s."""
+def registers_at(forces, time, angles):
+    """Registers (m, 2) of the laws for a call of their kernels at a time in s; angles : see `count`."""
     registers = forces.laws.registers.copy()
     registers[0, 0] = time
+    registers[forces.laws.states[:, 0], 0] = angles[len(forces.counted) :]
     return registers
+
+
+def count(forces):
+    """Number of unwrapped angles and, after them, states of laws that a run keeps."""
+    return len(forces.counted) + len(forces.laws.states)
 
 
 def make_forces(described, index, ends, counted, slides=()):

@@ -8,17 +8,21 @@ are formulas, too:
     effort of a joint      torque about or force along its z axis on the child, the opposite on the parent (axis.py)
     wrench on a body       torque and force at a point of the body, in its axes or in world axes
 
+States have a start and a rate, a formula that may use all signals. A state is the rate of a link of its own in the tree
+(mechanism/links.py), with unit inertia and the rate of the state as its effort: every method integrates it, with its
+order, error control and derivatives. After a step its value is kept behind the unwrapped angles.
+
 All laws of a scene are one program, evaluated once a stage. Its registers are memory of a run; the first is the time.
 """
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from pydantic import BeforeValidator, Field, WithJsonSchema, model_validator
 
 from liegroup_core.compiling import Struct, kernel
 from liegroup_core.errors import SceneError
-from liegroup_core.fields.values import Described, Name, Number, Text, Vector3, listed, place_text, suggestion
+from liegroup_core.fields.values import Described, Name, Number, Positive, Text, Vector3, listed, place_text, suggestion
 from liegroup_core.lie.so3 import so3_to_quaternion
 from liegroup_core.lie.vec3 import add3, cross3, dot3, load3, load9, tmatvec3, vector3
 
@@ -69,6 +73,9 @@ class Laws(Struct):
     tables: np.ndarray  # (t + 1,) first points of the tables
     points: np.ndarray  # (n, 2) their points
     outputs: np.ndarray  # (o,) of OUTPUT
+    states: np.ndarray  # (s, 2) registers of the value and of the rate of each state
+    start: np.ndarray  # (s,) values at the start
+    scales: np.ndarray  # (s,) magnitudes, to which the absolute tolerance of error control refers
     registers: np.ndarray  # (m, 2) at the start: value, derivative
 
 
@@ -109,7 +116,7 @@ class LawInput(Described):
 
     quantity: Text = Field(
         description="JOINT.position or JOINT.velocity of a joint with one coordinate; BODY.x y z (world axes), "
-        "qx qy qz qw, wx wy wz or vx vy vz (body axes) of a body; LAW.SIGNAL of an earlier law"
+        "qx qy qz qw, wx wy wz or vx vy vz (body axes) of a body; LAW.SIGNAL or LAW.STATE of an earlier law"
     )
     point: Vector3 | None = Field(
         None, description="point of the body in m, in its frame, for its x y z vx vy vz; default: its origin"
@@ -131,6 +138,14 @@ class LawTable(Described):
         if len(self.y) != len(self.x):
             raise SceneError(f"y must have as many values as x, {len(self.x)}, and has {len(self.y)}", place=("y",))
         return self
+
+
+class LawState(Described):
+    """Number that changes by its rate."""
+
+    rate: Formula = Field(description="formula of its derivative by time, which may use all inputs, signals and states")
+    start: Number = Field(0.0, description="value at the start")
+    scale: Positive = Field(1.0, description="magnitude that counts as 1 in the tolerances of error control")
 
 
 class LawOutput(Described):
@@ -169,6 +184,7 @@ class Law(Force):
     )
     parameters: dict[Name, Number] = Field({}, description="{name: number}, which sweep and identify can vary")
     tables: dict[Name, LawTable] = Field({}, description="{name: {x: [...], y: [...]}}, used as name(value)")
+    states: dict[Name, LawState] = Field({}, description="{name: {rate: formula, start: number}}")
     signals: dict[Name, Formula] = Field(
         {}, description="{name: formula}, in order; recorded and plotted as LAW.SIGNAL; see the guide of laws"
     )
@@ -179,7 +195,7 @@ class Law(Force):
     @model_validator(mode="after")
     def _check(self):
         known = {}
-        for key in ("inputs", "parameters", "tables", "signals"):
+        for key in ("inputs", "parameters", "tables", "states", "signals"):
             for name in getattr(self, key):
                 if name in RESERVED:
                     raise SceneError(f"{key}: the name {name} is taken by formulas: choose another", place=(key, name))
@@ -188,7 +204,7 @@ class Law(Force):
                         f"{key}: {name} is also one of its {known[name]}: choose another", place=(key, name)
                     )
                 known[name] = key
-        if not self.signals and not self.outputs:
+        if not (self.signals or self.states or self.outputs):
             raise SceneError("outputs is missing: a law exerts efforts or wrenches, or has signals", place=("outputs",))
         try:
             self.compile(Program(), {})
@@ -197,14 +213,16 @@ class Law(Force):
         return self
 
     def compile(self, program, others):
-        """({input: register}, {signal: register}, [registers of each output]) in a Program.
+        """_Compiled in a Program.
 
         others : {LAW.SIGNAL: register} of earlier laws; an input that is none of them gets a register of its own
         """
         inputs = {}
         for name, each in self.inputs.items():
             inputs[name] = others[each.quantity] if each.quantity in others else program.new()
-        names = {TIME: 0} | inputs | {name: program.new(value) for name, value in self.parameters.items()}
+        states = {name: program.new(each.start) for name, each in self.states.items()}
+        names = {TIME: 0} | inputs | states
+        names |= {name: program.new(value) for name, value in self.parameters.items()}
         tables = {name: program.table(each.x, each.y) for name, each in self.tables.items()}
         signals = {}
         for name, text in self.signals.items():
@@ -213,12 +231,14 @@ class Law(Force):
             [_compiled(program, text, names, tables, ("outputs", k, key)) for key, text in each.formulas]
             for k, each in enumerate(self.outputs)
         ]
-        return inputs, signals, outputs
+        rates = [_compiled(program, each.rate, names, tables, ("states", k, "rate")) for k, each in self.states.items()]
+        return _Compiled(inputs, states, rates, signals, outputs)
 
     @property
     def uses_time(self):
         """Whether a formula has the time."""
-        texts = (*self.signals.values(), *(text for each in self.outputs for _, text in each.formulas))
+        texts = [*self.signals.values(), *(each.rate for each in self.states.values())]
+        texts += [text for each in self.outputs for _, text in each.formulas]
         return any(TIME in names_in(text) for text in texts)
 
     def on_bodies(self, child_of):
@@ -243,6 +263,21 @@ class Law(Force):
 def _has_point(part):
     """Whether a quantity of a body with this part is one of a point of the body."""
     return OF_BODY.get(part, (None,))[0] in (PLACE, SPEED)
+
+
+class _Compiled(NamedTuple):
+    """Registers of a law: by names of inputs, states and signals, of the rates of the states, of each output."""
+
+    inputs: dict
+    states: dict
+    rates: list
+    signals: dict
+    outputs: list
+
+    @property
+    def shown(self):
+        """{name: register} of what others can read."""
+        return self.states | self.signals
 
 
 class _Misplaced(Exception):
@@ -311,10 +346,14 @@ def signals_of(described):
 def _compile_all(described):
     program, signals, found = Program(), {}, []
     for law in laws_of(described):
-        inputs, own, outputs = law.compile(program, signals)
-        found.append((law, inputs, outputs))
-        signals |= {f"{law.name}.{name}": register for name, register in own.items()}
+        found.append((law, law.compile(program, signals)))
+        signals |= {f"{law.name}.{name}": register for name, register in found[-1][1].shown.items()}
     return program, signals, found
+
+
+def states_of(described):
+    """[(LAW.STATE, LawState)] of a scene, in order."""
+    return [(f"{law.name}.{name}", each) for law in laws_of(described) for name, each in law.states.items()]
 
 
 def make_laws(described, index, ends, angles, slides):
@@ -324,18 +363,19 @@ def make_laws(described, index, ends, angles, slides):
     slides : names of the joints whose coordinate is a displacement
     """
     program, signals, found = _compile_all(described)
-    inputs, outputs = [], []
-    for law, registers, written in found:
+    inputs, outputs, states = [], [], []
+    for law, compiled in found:
+        states += zip(compiled.states.values(), compiled.rates)
         for name, each in law.inputs.items():
             if each.quantity in signals:
                 continue
             owner, _, part = each.quantity.rpartition(".")
             if owner in ends and part in OF_JOINT:
                 motion = axis.fields(owner in slides, *ends[owner])
-                inputs.append((OF_JOINT[part], 0, registers[name], -1, ORIGIN, angles.get(owner, -1), *motion))
+                inputs.append((OF_JOINT[part], 0, compiled.inputs[name], -1, ORIGIN, angles.get(owner, -1), *motion))
             else:
-                inputs.append((*OF_BODY[part], registers[name], index[owner], each.point or ORIGIN, -1, *NO_AXIS))
-        for each, own in zip(law.outputs, written):
+                inputs.append((*OF_BODY[part], compiled.inputs[name], index[owner], each.point or ORIGIN, -1, *NO_AXIS))
+        for each, own in zip(law.outputs, compiled.outputs):
             if each.body is None:
                 motion = axis.fields(each.joint in slides, *ends[each.joint])
                 outputs.append((-1, own * 6, 0, each.point, *motion))
@@ -350,6 +390,9 @@ def make_laws(described, index, ends, angles, slides):
         tables=begins,
         points=points,
         outputs=np.array(outputs, dtype=OUTPUT),
+        states=np.array(states, dtype=np.int64).reshape(-1, 2),
+        start=np.array([each.start for _, each in states_of(described)]),
+        scales=np.array([each.scale for _, each in states_of(described)]),
         registers=registers,
     )
 
@@ -445,7 +488,7 @@ def _add(body, torque, force, wrench_out):
 
 @kernel
 def measure(laws, angle, pose, twist, registers):
-    """Compute all registers (m, 2) in a state; registers[0, 0] is its time."""
+    """Compute all registers (m, 2) in a state; those of the time, the first one, and of states are given."""
     _read(laws, angle, pose, twist, registers)
     evaluate(laws.code, laws.tables, laws.points, registers)
 
@@ -456,7 +499,7 @@ def add_wrench(laws, angle, registers, pose, twist, wrench_out):
 
     angle : (k,) rad, all unwrapped angles after the last step;  registers : see `measure`
     """
-    if len(laws.outputs) == 0:
+    if len(laws.outputs) == 0 and len(laws.states) == 0:
         return
     measure(laws, angle, pose, twist, registers)
     for e in range(len(laws.outputs)):
@@ -491,7 +534,7 @@ def power(laws, angle, registers, pose, twist):
 @kernel
 def add_change(laws, angle, registers, pose, twist, moves, rates, wrench_out):
     """Add the changes of the wrenches along displacements, see kinds.add_changes."""
-    if len(laws.outputs) == 0:
+    if len(laws.outputs) == 0 and len(laws.states) == 0:
         return
     _read(laws, angle, pose, twist, registers)
     _read_changes(laws, pose, twist, moves, rates, registers)

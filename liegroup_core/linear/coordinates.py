@@ -23,7 +23,7 @@ from liegroup_core.fields.values import suggestion
 
 from .differences import derivative
 
-ANGLE, SHARE = 1e-2, 1e-2  # first displacement: rad, and of the mechanism's size
+ANGLE = 1e-2  # first displacement: rad, and of the mechanism's size
 # Weights of coordinates of joints, of the independent rates and of preferred ones, where independent ones are chosen.
 OF_JOINT, MOVING, PREFERRED = 10.0, 1e3, 1e5
 CLOSED, MOST_CLOSINGS = 1e-13, 100  # rad, or share of the mechanism's size: what closes joints still
@@ -38,6 +38,7 @@ class Coordinates:
     chosen : names of freedoms that are independent; None: those with the best condition
     preferred : names that are among them if they can be
     displaced : True: coordinates that stops or friction hold are among them, without a rate
+    states : True: states of laws are among the independent coordinates, which else have positions only
 
     freedoms : [Freedom]
     independent, moving : indices of the independent coordinates and of the independent rates
@@ -48,8 +49,9 @@ class Coordinates:
     Raises SceneError for unknown or dependent names.
     """
 
-    def __init__(self, probe, chosen=None, preferred=(), displaced=False):
+    def __init__(self, probe, chosen=None, preferred=(), displaced=False, states=False):
         self._probe, self.freedoms = probe, probe.layout.freedoms
+        self.is_state, self._with_states = np.array([not each.unit for each in self.freedoms], dtype=bool), states
         self._signs = np.array([freedom.sign for freedom in self.freedoms])
         self._scales = scales_of(probe.layout)
         basis = self._velocities()
@@ -67,8 +69,19 @@ class Coordinates:
         else:
             self.moving, self.rates = self._independent(basis, wanted, weights)
             self.independent, self.motions = self.moving, self.rates
+        if any(self.is_state):
+            self._place_states()
         self.names, self.rate_names = ([self.freedoms[k].name for k in of] for of in (self.independent, self.moving))
         self.units = [self.freedoms[k].unit for k in self.independent]
+
+    def _place_states(self):
+        """Leave positions of the links of laws out: their rates are the states, see forces/law.py."""
+        kept = np.ones(len(self.independent), dtype=bool) if self._with_states else ~self.is_state[self.independent]
+        self.independent, self.motions = self.independent[kept], self.motions[:, kept]
+
+    def rate_name(self, k):
+        """Name of the rate of freedom k, of a law that of its state."""
+        return self.freedoms[k].name + ("" if self.is_state[k] else ".rate")
 
     @property
     def signs(self):
@@ -92,11 +105,11 @@ class Coordinates:
 
     def size(self, k):
         """First displacement along independent coordinate k."""
-        return ANGLE if self.units[k] == "rad" else SHARE * self._probe.layout.size
+        return ANGLE * self.scales[k]
 
     def rate_size(self, k):
         """First displacement along independent rate k."""
-        return ANGLE if self.freedoms[self.moving[k]].unit == "rad" else SHARE * self._probe.layout.size
+        return ANGLE * self.rate_scales[k]
 
     def _velocities(self):
         """Basis (f, p) of the velocities that the joints allow, in the units of the freedoms."""
@@ -219,13 +232,19 @@ class Coordinates:
             y[:, 1] = s * self.rates[:, k]
         else:
             y[:, 0], y[:, 1] = s * self.motions[:, k], s * self.changes[:, k]
+        return self._states_as_rates(y)
+
+    def _states_as_rates(self, y):
+        """y (f, 2) with displacements of states of laws as those of the rates of their links."""
+        if self._with_states and self.is_state.any():
+            y[self.is_state] = y[self.is_state, ::-1]
         return y
 
     def at(self, z):
         """y (f, 2) of independent coordinates z (m,) at the rates of the state: before projection."""
         y = np.zeros((self._probe.freedoms, 2))
         y[:, 0] = self.motions @ z
-        return y
+        return self._states_as_rates(y)
 
     def moved_by(self, directions):
         """Names of the freedoms, and of joints with one coordinate, that directions (m, d) of unit length move."""
@@ -237,7 +256,7 @@ class Coordinates:
             for name, way in {**{name: there[name][0] - rest[name][0] for name in there}, **turns}.items():
                 moves[name] = max(moves.get(name, 0.0), abs(way))
         units = {freedom.name: freedom.unit for freedom in self.freedoms} | layout.coordinates.units
-        least = {"rad": SMALL_MOVE * ANGLE, "m": SMALL_MOVE * ANGLE * layout.size}
+        least = {"rad": SMALL_MOVE * ANGLE, "m": SMALL_MOVE * ANGLE * layout.size, "": SMALL_MOVE * ANGLE}
         return tuple(name for name, way in moves.items() if way > least[units[name]])
 
     def holding(self, z, held):
@@ -261,7 +280,8 @@ class Coordinates:
     def with_rates(self, rates):
         """y (f, 2) at the position of the state with independent rates (p,) in the joints: before projection."""
         y = np.zeros((self._probe.freedoms, 2))
-        y[:, 1] = self.rates @ (self.rate_signs * rates - self._probe.closed()[0][self.moving])
+        change = self.rate_signs * rates - self._probe.closed()[0][self.moving]
+        y[:, 1] = self.rates @ np.where(self.is_state[self.moving], 0.0, change)
         return y
 
     def along(self, rates):
@@ -273,5 +293,5 @@ class Coordinates:
 
 
 def scales_of(layout):
-    """(f,) scales of the degrees of freedom of the tree: 1 rad, or the mechanism's size in m."""
-    return np.array([1.0 if freedom.unit == "rad" else layout.size for freedom in layout.freedoms])
+    """(f,) scales of the degrees of freedom of the tree: 1 rad, the mechanism's size in m, 1 of a state of a law."""
+    return np.array([layout.size if freedom.unit == "m" else 1.0 for freedom in layout.freedoms])

@@ -260,7 +260,7 @@ def system_of(probe, inputs=None, outputs=None, independent=None, preferred=()):
     all_signs = np.array([freedom.sign for freedom in coordinates.freedoms])
     return LinearSystem(
         *(matrix[:states, :states], matrix[:states, states:], matrix[states:, :states], matrix[states:, states:]),
-        states=(*coordinates.names, *(f"{name}.rate" for name in coordinates.rate_names)),
+        states=(*coordinates.names, *map(coordinates.rate_name, coordinates.moving)),
         coordinates=m,
         inputs=tuple(inputs.names),
         outputs=tuple(outputs.names),

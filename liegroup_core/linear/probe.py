@@ -294,9 +294,14 @@ class Probe:
 
     def go_to(self, y):
         """Move the state to a neighbour y (f, 2), projected onto the cut joints. Raises SimulationError."""
-        _, self.pose, self.twist = self.closed(y)
+        rates, self.pose, self.twist = self.closed(y)
         self._work.angle[:] = self.layout.angles(self.pose, self._work.angle)
+        self._set_states(self._work.angle, rates[self._model.links["freedom"][self._model.law_links]])
         self._work.known[0] = 0.0
+
+    def _set_states(self, angles, states):
+        """Set the states of laws, which follow the unwrapped angles."""
+        angles[len(angles) - len(states) :] = states
 
     def beside(self, y):
         """Rates, poses and twists as from `closed`, where stops and friction hold nothing."""
@@ -325,6 +330,7 @@ class Probe:
         """
         out, pose, twist = np.empty((self.freedoms, 2)), self.pose.copy(), self.twist.copy()
         self._call(_evaluate, y, acting, out, pose, twist)
+        self._states = self._work.stage_twist[len(self.pose) + self._model.law_links, 0]
         return out.T.ravel(), pose, twist
 
     def tangents(self, directions, sizes, external=None, targets=None):
@@ -424,9 +430,10 @@ class Probe:
         return self.sample(*self.slopes(y)[1:])
 
     def sample(self, pose, twist, acting=None):
-        """Sample of a neighbour with its Acting; poses and twists as from `slopes`."""
-        base = self.base
-        found = Sample(self.layout, base.time, base.time_ns, base.steps, pose, twist, self._work.angle.copy())
+        """Sample of a neighbour with its Acting; poses and twists are those of the last `slopes`."""
+        base, angles = self.base, self._work.angle.copy()
+        self._set_states(angles, self._states)
+        found = Sample(self.layout, base.time, base.time_ns, base.steps, pose, twist, angles)
         found.acting, found.joint_efforts = base.acting if acting is None else acting, base.joint_efforts
         if base.switching is not None:
             found.switching = self.modes

@@ -327,10 +327,11 @@ def _error_of(orders, count, most, size):
 
 
 @kernel
-def _change_wrenches(model, work, external, more, targets, d, links, moves, rates):
+def _change_wrenches(model, work, external, more, targets, d, directions, links, moves, rates):
     """Add the changes of the wrenches of all forces to work.force.
 
     more, targets : changes of the external wrenches, and of the targets of servos, of all directions d
+    directions    : of all freedoms, see `tangents`
     moves, rates : scratch memory (n, 6)
     """
     L, n = len(model.links), len(model.bodies)
@@ -349,9 +350,16 @@ def _change_wrenches(model, work, external, more, targets, d, links, moves, rate
     set_changes(external, more, d * n, pose, moves, work.wrench)
     if forces.exist:
         at = d * len(work.targets)
+        laws, f_all = forces.laws, len(work.freedoms)
         work.registers[0, 0] = work.clock.now[0]
+        for s in range(len(model.law_links)):
+            link = model.links[model.law_links[s]]
+            work.registers[laws.states[s, 0], 0] = work.stage_twist[n + model.law_links[s], 0]
+            work.registers[laws.states[s, 0], 1] = directions[(2 * d + 1) * f_all + link["freedom"], 0]
         given = forces, work.angle, work.targets, work.registers
         add_changes(*given, pose, twist, moves, rates, targets, at, work.wrench)
+        for s in range(len(model.law_links)):
+            add_pair(model, work, model.law_links[s], 0, -work.registers[laws.states[s, 1], 1], work.force, 1)
     for i in range(n):
         b = model.bodies[i]["link"]
         if b != WORLD:
@@ -607,7 +615,7 @@ def tangents(model, work, moves, more, targets, sizes, state, links, bodies, row
             for c in range(6):
                 pushes = pushes or more[d * n + i, c] != 0.0
         if pushes:
-            _change_wrenches(model, work, external, more, targets, d, links, body_moves, body_rates)
+            _change_wrenches(model, work, external, more, targets, d, moves, links, body_moves, body_rates)
         if len(model.cuts) > 0:
             error = _change_rows(model, work, links, rows, orders, sizes[d])
             _change_couplings(model, work, moves, at, rows, given)

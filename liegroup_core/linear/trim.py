@@ -96,7 +96,8 @@ def _found(probe, rates, held, names):
     if numbers and probe.layout.switches:
         stick(probe, np.flatnonzero(probe.largest_friction() > 0.0), numbers)
     u, limit, remaining, stops = inputs.starting(rates), 0.0, np.inf, Stops(probe)
-    moves = np.abs(probe.closed()[0]).max(initial=0.0) > MOVES and not any(rates.values())
+    own = Coordinates(probe).is_state
+    moves = np.abs(probe.closed()[0][~own]).max(initial=0.0) > MOVES and not any(rates.values())
     advice = "; the state moves: name rates that stay constant" if moves else ""
     for _ in range(MOST_STEPS):
         coordinates = _at_rates(probe, rates, preferred)
@@ -140,7 +141,7 @@ def _at_rates(probe, rates, preferred):
     modes, moves = probe.modes, any(rates.values())
     if moves:
         probe.release()
-    coordinates = Coordinates(probe, preferred=preferred)
+    coordinates = Coordinates(probe, preferred=preferred, states=True)
     for name, rate in rates.items():
         coordinates.number(name)
         if not np.isfinite(rate):
@@ -152,7 +153,7 @@ def _at_rates(probe, rates, preferred):
     probe.go_to(coordinates.with_rates(np.array([rates.get(name, 0.0) for name in coordinates.rate_names])))
     if moves:
         probe.oppose(modes)
-    return Coordinates(probe, preferred=preferred)
+    return Coordinates(probe, preferred=preferred, states=True)
 
 
 def _go(probe, coordinates, fixed, z, advice):
@@ -232,7 +233,7 @@ def _derivatives(probe, coordinates, inputs, u):
 
 def _trim(probe, preferred, inputs, u, loose):
     resting = Resting(probe)
-    coordinates = Coordinates(probe, preferred=preferred)
+    coordinates = Coordinates(probe, preferred=preferred, states=True)
     rows = coordinates.rate_scales
 
     def accelerations(u):
@@ -256,7 +257,7 @@ def _trim(probe, preferred, inputs, u, loose):
     }
     resting.settle(efforts)
     targets = [inputs.target(name) for name in inputs.names]
-    coordinates = Coordinates(probe, preferred=preferred)
+    coordinates = Coordinates(probe, preferred=preferred, states=True)
     probe.acting = inputs.applied(u)
     _, pose, twist = probe.slopes()
     sample = probe.sample(pose, twist, probe.acting)

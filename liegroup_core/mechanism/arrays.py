@@ -143,6 +143,7 @@ class RelativeModel(Struct):
     gravity: np.ndarray  # (1, 3) m/s^2, world axes
     links: np.ndarray  # (L,) of LINK
     bodies: np.ndarray  # (n,) of IN_LINK
+    law_links: np.ndarray  # (s,) links whose rates are the states of laws, see forces/law.py
     elements: np.ndarray  # of ELEMENT: those of the cut joints, between links
     cuts: np.ndarray  # (c,) of CUT
     owners: np.ndarray  # (c,) their elements in `space`

@@ -12,7 +12,7 @@ axes. A pose has twelve numbers: R row by row, then r.
 import numpy as np
 
 from liegroup_core.compiling import Record, Struct, kernel, shaped
-from liegroup_core.forces.kinds import target_values
+from liegroup_core.forces.kinds import count, target_values
 
 BODY = np.dtype([
     ("mass", "f8"), ("inverse_mass", "f8"),                       # kg, 1/kg
@@ -57,7 +57,7 @@ class Work(Struct):
     """Memory of one simulation; `angle`, `targets`, `motions` and counts of the report hold between calls."""
 
     wrench: np.ndarray             # (n, 6) sum of the applied wrenches
-    angle: np.ndarray              # rad, of each of forces.counted at the last finished step: state
+    angle: np.ndarray              # rad, of each of forces.counted at the last finished step, and states of laws
     start_angle: np.ndarray        # the same at the start of a step that is taken in substeps
     targets: np.ndarray            # (k, 2) position and velocity of each servo: input of a call
     registers: np.ndarray          # (m, 2) of the laws of the scene
@@ -72,9 +72,9 @@ class Work(Struct):
 def make_work(model, stages):
     """Allocate the scratch memory of a model for a method with this number of stages."""
     n = len(model.bodies)
-    counted = len(model.forces.counted)
+    kept = count(model.forces)
     return Work(
-        wrench=np.zeros((n, 6)), angle=np.zeros(counted), start_angle=np.zeros(counted),
+        wrench=np.zeros((n, 6)), angle=np.zeros(kept), start_angle=np.zeros(kept),
         targets=target_values(model.forces), registers=model.forces.laws.registers.copy(),
         motions=model.motions.copy(), clock=CallTimes.make(),
         stage_pose=np.zeros((n, 12)), stage_twist=np.zeros((n, 6)),

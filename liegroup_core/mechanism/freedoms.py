@@ -16,7 +16,7 @@ class Freedom(NamedTuple):
     """A degree of freedom of the spanning tree.
 
     name : of its joint with one coordinate, else JOINT.COMPONENT or BODY.COMPONENT
-    unit : "rad" or "m"
+    unit : "rad" or "m"; "" of a state of a law, which is its rate
     sign : of its coordinate when that of the joint increases
     is_of_joint : whether it is the coordinate of a joint
     """
@@ -37,6 +37,9 @@ def freedoms_of(scene, normal):
     links, _ = find_links(scene, resolve_frames(scene), tree_of(scene), normal)
     found = []
     for link in links:
+        if link.state:
+            found.append(Freedom(link.state, "", 1.0))
+            continue
         if link.joint is None:
             name = next(iter(link.bodies))
         else:

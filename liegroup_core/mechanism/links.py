@@ -5,9 +5,10 @@ import math
 
 import numpy as np
 
+from liegroup_core.forces.law import states_of
 from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.groups import SE3
-from liegroup_core.motion_groups.table import COMPONENTS, FREE, FREEDOMS, HINGE, OF_JOINT, PLANE_COMPONENTS
+from liegroup_core.motion_groups.table import COMPONENTS, FREE, FREEDOMS, HINGE, OF_JOINT, PLANE_COMPONENTS, SLIDE
 
 from .arrays import AFTER_CROSS, CROSS, LINK, OWN
 from .planar import align, frame_in_plane
@@ -22,13 +23,14 @@ class TreeLink:
 
     sign  : 1 if its coordinate increases with that of the joint, -1 if it decreases
     rotor : inertia of the rotor of its joint, kg m^2 or kg
+    state : LAW.STATE whose value is its rate, or ""
     """
 
     def __init__(self, joint, group, parent, placement, coordinates=OWN, pitch=0.0, in_plane=False):
         self.joint, self.group, self.parent, self.placement = joint, group, parent, placement
         self.coordinates, self.pitch, self.bodies = coordinates, pitch, {}
         self.components = (PLANE_COMPONENTS if in_plane else COMPONENTS)[group]
-        self.sign, self.aligned, self.rotor = 1.0, False, 0.0
+        self.sign, self.aligned, self.rotor, self.state = 1.0, False, 0.0, ""
 
     @property
     def turns(self):
@@ -99,6 +101,10 @@ def find_links(scene, frames, tree, normal, floating=FREE):
             places[name] = (len(links) - 1, links[-1].bodies[name])
     if normal is None:
         _align_hinges(links)
+    for name, _ in states_of(scene.forces):
+        # A rotor without a body, on a slide: its acceleration is its effort, whatever the gravity.
+        links.append(TreeLink(None, SLIDE, WORLD, np.eye(4), in_plane=normal is not None))
+        links[-1].rotor, links[-1].state = 1.0, name
     return links, places
 
 

@@ -60,6 +60,7 @@ def relative_model(scene, model, in_space=False, group=None):
         gravity=model.gravity,
         links=records,
         bodies=body_records,
+        law_links=np.array([b for b, link in enumerate(links) if link.state], dtype=np.int64),
         elements=elements,
         **switch_arrays(scene, links, records, arrays, elements, places, mechanism_size(model, scene.joints)),
         refinements=_refinements(scene, model, len(arrays["cuts"]) > 0, normal),

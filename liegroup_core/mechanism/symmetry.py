@@ -167,9 +167,9 @@ def _outer_wrenches(scene, model, pose, rng):
     forces = model.forces
     kinds.add_wrenches(
         forces,
-        rng.normal(size=len(forces.counted)),
+        angles := rng.normal(size=kinds.count(forces)),
         kinds.target_values(forces),
-        kinds.registers_at(forces, rng.uniform(0.0, 10.0)),
+        kinds.registers_at(forces, rng.uniform(0.0, 10.0), angles),
         pose,
         rng.normal(size=(len(pose), 6)),
         wrench,

@@ -231,7 +231,7 @@ class Reactions:
         Redundant constraints leave single wrenches undetermined, but not the sum of their powers. The power that
         accelerates rotors is left out: their energy is kinetic energy.
         """
-        turning = np.flatnonzero(self._model.links["rotor"])
+        turning = np.setdiff1d(np.flatnonzero(self._model.links["rotor"]), self._model.law_links)
         rotors = self._model.links[turning]
         wrenches, out = np.empty((len(pose), len(self.names), 6)), np.zeros((len(pose), 2))
         for k, time in enumerate(times):

@@ -293,7 +293,7 @@ class Sample:
     @cached_property
     def registers(self) -> NDArray[np.float64]:
         """(m, 2) numbers of the laws, see forces/law.py."""
-        found = kinds.registers_at(self._layout.model.forces, self.time)
+        found = kinds.registers_at(self._layout.model.forces, self.time, self.angles)
         law.measure(self._layout.model.forces.laws, self.angles, *self._state, found)
         return found
 

@@ -72,7 +72,7 @@ def _is_parameter(model, key):
     entry = _entry(model, key)
     if isinstance(model, Body) and model.shape is not None and key in OF_SHAPE:
         return False
-    if key == "rate":
+    if key == "rate" and hasattr(model, "type"):
         return TYPES[model.type].rate is not None
     return key != "quaternion" and (key == "length" or isinstance(entry, (float, tuple, dict, Described)))
 

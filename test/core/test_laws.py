@@ -13,7 +13,7 @@ from volume import some
 
 from liegroup_core import SceneError, Simulation
 from liegroup_core.forces.formulas import FUNCTIONS, FormulaError, Program, differentiate, evaluate, table_arrays
-from liegroup_core.linear import linearise, sensitivities
+from liegroup_core.linear import linearise, sensitivities, trim
 from liegroup_core.methods.families import fitting_methods
 from liegroup_core.scene.load import scene_from_text
 
@@ -310,6 +310,112 @@ def test_motions_under_smooth_laws_are_those_of_scipy(name):
     assert_allclose(found, expected(effort, 2.0), rtol=0, atol=1e-10 * 10)
 
 
+PID = at_hinge(
+    "a",
+    parameters={"kp": 6.0, "ki": 4.0, "kd": 0.4},
+    states={
+        "i": {"rate": "e if abs(u) < 3 or e*u < 0 else 0"},
+        "a": {"start": 0.2, "rate": "(clip(u, -3, 3) - a)/0.05"},
+    },
+    signals={"e": "0.5*sin(2*t) - q", "u": "kp*e + ki*i - kd*w"},
+)
+WINDING = at_hinge(
+    "0.9*current", parameters={"R": 1.3, "L": 0.004}, states={"current": {"rate": "(6*sin(5*t) - R*current - 0.9*w)/L"}}
+)
+
+
+def _with_states(start, slopes, duration, limit=np.inf):
+    """(q, w, states) of the pendulum under effort slopes(...)[0] with states of rates slopes(...)[1:], by SciPy."""
+
+    def slope(t, y):
+        effort, *rates = slopes(t, *y)
+        return [y[1], (effort - WEIGHT * np.sin(y[0])) / INERTIA, *rates]
+
+    given = {"method": "Radau" if limit < np.inf else "DOP853", "max_step": limit}
+    return solve_ivp(slope, (0, duration), [0.7, 0.0, *start], rtol=1e-13, atol=1e-14, **given).y[:, -1]
+
+
+def _winding(t, q, w, current):
+    return 0.9 * current, (6 * np.sin(5 * t) - 1.3 * current - 0.9 * w) / 0.004
+
+
+@pytest.mark.parametrize("method", ["rkmk4", "rkmk8", "generalized_alpha", "constrained_rattle", "radau5"])
+def test_states_of_laws_have_the_order_of_every_method(method):
+    """A motor with inductance, time constant 3 ms: fitted slopes of motion and current."""
+    known, errors = _with_states([0.0], _winding, 0.5), []
+    order = {"rkmk4": 4, "rkmk8": 8, "generalized_alpha": 2, "constrained_rattle": 2, "radau5": 5}[method]
+    steps = np.array([1 / 512, 1 / 1024, 1 / 2048] if order < 5 else [1 / 256, 1 / 384, 1 / 512])
+    for step in steps:
+        settings = {"rtol": 1e3, "atol": 1e3} if method == "radau5" else {}
+        simulation = Simulation(pendulum(WINDING), method, step, quiet=True, estimate=False, **settings)
+        simulation.advance_to(0.5)
+        sample = simulation.sample()
+        found = np.array([*sample.joint_coordinates["hinge"], sample.signals["own.current"]])
+        errors.append(np.abs(found - known).max())
+    slope = np.polyfit(np.log(steps), np.log(errors), 1)[0]
+    assert order - 0.4 <= slope <= order + 1.2, errors
+
+
+@pytest.mark.parametrize("accuracy", [1e-4, 1e-7])
+@pytest.mark.parametrize("group", ["auto", "se3"])
+def test_a_controller_with_states_runs_to_an_accuracy(accuracy, group):
+    """PID with anti-windup and a lag, whose integral stops at kinks; by SciPy in steps of 1 ms."""
+
+    def slopes(t, q, w, i, a):
+        e = 0.5 * np.sin(2 * t) - q
+        u = 6 * e + 4 * i - 0.4 * w
+        return a, e if abs(u) < 3 or e * u < 0 else 0.0, (min(max(u, -3), 3) - a) / 0.05
+
+    known = _with_states([0.0, 0.2], slopes, 2.0, limit=1e-3)
+    simulation = Simulation(pendulum(PID), accuracy=accuracy, group=group, quiet=True)
+    simulation.advance_to(2.0)
+    sample = simulation.sample()
+    assert abs(np.array(sample.joint_coordinates["hinge"]) - known[:2]).max() <= accuracy * 3
+    assert simulation.largest_error <= accuracy * 1.01
+    assert sample.signals["own.i"] == pytest.approx(known[2], abs=10 * accuracy)
+
+
+def test_states_are_part_of_snapshots_branches_and_states_that_are_set():
+    import copy
+
+    simulation = Simulation(pendulum(PID), accuracy=1e-6, quiet=True)
+    simulation.advance_to(0.61)
+    restored, branch = Simulation(pendulum(PID), accuracy=1e-6, quiet=True), copy.deepcopy(simulation)
+    restored.restore(simulation.snapshot())
+    for run in (simulation, restored, branch):
+        run.advance_to(1.13)
+    first = simulation.sample()
+    for other in (restored.sample(), branch.sample()):
+        assert other.signals == first.signals and other.pose.tobytes() == first.pose.tobytes()
+    fixed = Simulation(pendulum(PID), "rkmk4", 1e-3, quiet=True)
+    fixed.set_state(first.pose, first.twist, 0, angles=first.angles)
+    assert fixed.sample().signals["own.i"] == first.signals["own.i"]
+    fixed.place(joints={"hinge": (0.1, 0.0)})
+    assert fixed.sample().signals["own.i"] == first.signals["own.i"]
+
+
+def test_linear_systems_have_the_states_of_laws():
+    """A (4, 4) by hand, at the start and at the equilibrium that trim finds: the integral holds the weight there."""
+    law = at_hinge(
+        "a",
+        states={"i": {"rate": "e"}, "a": {"start": 0.2, "rate": "(6*e + 4*i - 0.4*w - a)/0.05"}},
+        signals={"e": "0.5 - q"},
+    )
+    simulation = Simulation(pendulum(law), quiet=True)
+
+    def system(q):
+        gravity = -WEIGHT * np.cos(q) / INERTIA
+        return [[0, 1, 0, 0], [gravity, 0, 0, 1 / INERTIA], [-1, 0, 0, 0], [-120, -8, 80, -20]]
+
+    found = linearise(simulation, outputs=["own.i", "own.e", "hinge.position"])
+    assert found.states == ("hinge", "hinge.rate", "own.i", "own.a")
+    assert_allclose(found.A, system(0.7), rtol=1e-9, atol=1e-9)
+    assert_allclose(found.C, [[0, 0, 1, 0], [-1, 0, 0, 0], [1, 0, 0, 0]], atol=1e-9)
+    rest = trim(simulation)
+    assert rest.joints["hinge"] == pytest.approx(0.5, abs=1e-9)
+    assert_allclose(rest.system.A, system(0.5), rtol=1e-8, atol=1e-8)
+
+
 def test_a_ramp_is_a_law():
     """A torque that grows from 1 s to 2 s to 3 N m and stays: its kinks are met by substeps, to the accuracy."""
     law = at_hinge("clip(3*(t - 1), 0, 3)")
@@ -378,6 +484,9 @@ def test_laws_read_signals_of_earlier_laws_and_samples_show_them():
         ({"tables": {"mu": {"x": [0, 0], "y": [1, 1]}}}, "numbers that increase"),
         ({"tables": {"mu": {"x": [0, 1], "y": [1]}}}, "as many values as x"),
         ({"signals": {"e": "later"}, "outputs": []}, "unknown name 'later'"),
+        ({"states": {"x": {"rate": "y"}}}, "states.x.rate: unknown name 'y'"),
+        ({"states": {"x": {"start": 1}}}, "rate is missing"),
+        ({"states": {"q": {"rate": "1"}}}, "q is also one of its inputs"),
     ],
 )
 def test_a_wrong_law_is_refused_in_one_line(change, reason):

@@ -19,7 +19,6 @@ from liegroup_core.dynamics.rows import set_rows
 from liegroup_core.dynamics.state import enter as enter
 from liegroup_core.dynamics.state import leave as leave
 from liegroup_core.dynamics.trees import move_links
-from liegroup_core.forces import kinds as forces
 from liegroup_core.lie.vec3 import load3, load_column, store3
 from liegroup_core.mechanism.bodies import STEP_TURN
 from liegroup_core.methods.checks import end_status, rotation_status
@@ -126,6 +125,6 @@ def finish(model, work, memory, h):
     status = end_status(model.space.forces, h, work.stage_pose, work.stage_twist)
     if status != OK:
         return status
-    forces.count_turns(model.space.forces, work.stage_pose, work.angle)
+    link_state.count_turns(model, work)
     set_size(model.space, memory, work.stage_pose)
     return OK

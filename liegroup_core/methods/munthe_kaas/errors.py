@@ -54,6 +54,17 @@ def _of_link(model, work, i, place):
 
 
 @kernel
+def _error_of_state(model, work, i, rtol, atol):
+    """Square of the error estimate of a state of a law, if link i has one."""
+    for s in range(len(model.law_links)):
+        if model.law_links[s] == i:
+            value = abs(work.stage_twist[len(model.bodies) + i, 0])
+            error = work.difference[1, 0] / (atol * model.space.forces.laws.scales[s] + rtol * value)
+            return error * error
+    return 0.0
+
+
+@kernel
 def error_square(model, work, scheme, row, h, twist, i, rtol, atol, length):
     """Square of an error estimate of the body that represents link i; see error_control.py."""
     _difference(model, work, scheme, row, h, i)
@@ -66,7 +77,7 @@ def error_square(model, work, scheme, row, h, twist, i, rtol, atol, length):
     link = model.links[i]
     body = link["body"]
     if body < 0:
-        return 0.0
+        return _error_of_state(model, work, i, rtol, atol) if len(model.law_links) > 0 else 0.0
     point = vector3(link["body_point"])
     eta, dv = add3(eta, cross3(xi, point)), add3(dv, cross3(dw, point))
     return error_norm_square(xi, eta, dw, dv, twist, work.stage_twist, body, rtol, atol, length)

@@ -14,12 +14,12 @@ from liegroup_core.dynamics.coordinates import displace, normalise
 from liegroup_core.dynamics.loads import UNSETTLED
 from liegroup_core.dynamics.loops import project
 from liegroup_core.dynamics.state import begin as begin
+from liegroup_core.dynamics.state import count_turns as keep_angles
 from liegroup_core.dynamics.state import enter as enter
 from liegroup_core.dynamics.state import leave as leave
 from liegroup_core.dynamics.state import place as place
 from liegroup_core.dynamics.switches import count_coordinates, set_rates, too_fast
 from liegroup_core.events.crossings import begin_at_end, crossed, note_guards
-from liegroup_core.forces import kinds
 from liegroup_core.lie.vec3 import dot3, load3, load_column, store3, store_column
 from liegroup_core.mechanism.arrays import BEGIN, SPAN, WATCHED
 from liegroup_core.mechanism.bodies import STEP_TURN
@@ -144,7 +144,7 @@ def close(model, work, controlled):
 @kernel
 def count_turns(model, work):
     """Unwrap the angles of torsional springs and switches at the end of a step."""
-    kinds.count_turns(model.space.forces, work.stage_pose, work.angle)
+    keep_angles(model, work)
     count_coordinates(model, work)
 
 

@@ -24,11 +24,10 @@ from liegroup_core.dynamics.coordinates import normalise, place_links
 from liegroup_core.dynamics.coupled_rows import set_coupled_gaps
 from liegroup_core.dynamics.loops import close_loops, gather_alone, set_loops
 from liegroup_core.dynamics.residuals import add_multipliers, gather_forces, set_response_residual
+from liegroup_core.dynamics.state import count_turns, place
 from liegroup_core.dynamics.state import enter as enter
 from liegroup_core.dynamics.state import leave as leave
-from liegroup_core.dynamics.state import place
 from liegroup_core.dynamics.trees import move_links, spread_response
-from liegroup_core.forces.kinds import count_turns
 from liegroup_core.mechanism.bodies import STEP_TURN
 from liegroup_core.methods.broyden import broyden
 from liegroup_core.methods.checks import end_status
@@ -338,5 +337,5 @@ def finish(model, work, h):
         place(model, work, work.stage_pose, work.stage_twist)
     status = end_status(model.space.forces, h, work.stage_pose, work.stage_twist)
     if status == OK:
-        count_turns(model.space.forces, work.stage_pose, work.angle)
+        count_turns(model, work)
     return status
