@@ -98,6 +98,7 @@ class Engine:
 
     apply_wrench = method_of("inputs", Inputs.apply_wrench)
     apply_effort = method_of("inputs", Inputs.apply_effort)
+    pull = method_of("inputs", Inputs.pull)
     command_servo = method_of("inputs", Inputs.command_servo)
     command_motion = method_of("inputs", Inputs.command_motion)
     check_motion = method_of("inputs", Inputs.check_motion)

@@ -9,11 +9,24 @@ from numpy.typing import ArrayLike
 
 from liegroup_core.fields.arguments import check_name, floats, got, is_finite
 from liegroup_core.forces.acting import Acting
-from liegroup_core.forces.commands import AXES, CLEAR, EFFORT, MOTION, MOVE, SCENE, TARGET, WRENCH, Command, Commands
+from liegroup_core.forces.commands import (
+    AXES,
+    CLEAR,
+    EFFORT,
+    LOADS,
+    MOTION,
+    MOVE,
+    PULL,
+    SCENE,
+    TARGET,
+    WRENCH,
+    Command,
+    Commands,
+)
 from liegroup_core.forces.external import no_wrenches, parts_of_wrench, set_wrench
 from liegroup_core.forces.instants import AFTER, NS
 from liegroup_core.forces.kinds import servos, target_values
-from liegroup_core.forces.schedule import BODY, DRIVE, IN_WORLD, LEVERS, SERVO, Schedule
+from liegroup_core.forces.schedule import BODY, DRIVE, IN_WORLD, LEVERS, PULLED, SERVO, Schedule
 from liegroup_core.joints.limits import check_number, usable
 from liegroup_core.joints.motion import at, through
 
@@ -83,7 +96,7 @@ class Inputs:
     def _take_totals(self):
         self.changes += 1
         total, external = self.schedule.total, no_wrenches(self._layout.offsets)
-        for axes in (BODY, IN_WORLD, LEVERS):
+        for axes in (BODY, IN_WORLD, LEVERS, PULLED):
             for body in np.flatnonzero(total[axes].any(axis=1)).tolist():
                 set_wrench(external, body, total[axes][body], axes)
         self.acting.set((external, total[SERVO], total[DRIVE]))
@@ -93,7 +106,7 @@ class Inputs:
 
     def _note_ends(self):
         commands = [entry.command for entry in self.schedule.acting]
-        ends = [self._end(command) for command in commands if command.kind in (WRENCH, EFFORT)]
+        ends = [self._end(command) for command in commands if command.kind in LOADS]
         self.known_end = min([*ends, self.schedule.next_of_scene])
 
     @property
@@ -150,7 +163,7 @@ class Inputs:
                 self._note_ends()
         if self.follower is not None:
             self.follower.accept(command)
-        if self.log is not None and command.kind in (WRENCH, EFFORT, CLEAR):
+        if self.log is not None and command.kind in (*LOADS, CLEAR):
             self.log.append(command)
 
     def _effects(self, command):
@@ -161,6 +174,10 @@ class Inputs:
             body = self._bodies[name]
             parts = [(axes, body, part) for axes, part in parts_of_wrench(values, command.axes, command.point)]
             key = source, "", body
+        elif kind == PULL:
+            check_name(name, self._bodies, "unknown body {}")
+            parts = [(PULLED, self._bodies[name], (*values[:5], *(command.point or (0.0, 0.0, 0.0)), *values[5:]))]
+            key = "", PULL, parts[0][1]
         elif kind == EFFORT:
             check_name(name, self._layout.unit_efforts, "joint {} is not a joint with one coordinate")
             parts = [(BODY, body, values[0] * unit) for body, unit in self._layout.unit_efforts[name]]
@@ -211,6 +228,46 @@ class Inputs:
         _check_source(source)
         point = None if point is None else tuple(point.tolist())
         self._take(Command(WRENCH, body, tuple(wrench.tolist()), None, None, source, axes, point), start, duration)
+
+    def pull(
+        self,
+        body: str,
+        to: ArrayLike,
+        stiffness: float,
+        damping: float = 0.0,
+        start: float | Fraction | None = None,
+        duration: float | None = None,
+        source: str = "api",
+        point: ArrayLike | None = None,
+        torque: ArrayLike = (0.0, 0.0, 0.0),
+        turning_damping: float = 0.0,
+    ) -> None:
+        """Pull at a point of a body with a spring and a damper from a point in the world.
+
+        body      : name of the body, which has one pull at most: a later one replaces it
+        to        : (3,) m, world axes
+        stiffness, damping : N/m, N s/m, not negative: force k (to - x) - c v. All numbers zero: end it
+        point     : (3,) m, in the body frame; None: its origin
+        torque, turning_damping : (3,) N m in world axes and N m s/rad: torque n - d omega in addition
+        start, duration, source : as in `apply_wrench`
+        The force follows the motion inside a step, in each of two runs for an estimate of the error on its own state
+        (test/core/test_pulls.py). Raises ValueError for an unknown body, wrong shapes, or numbers that are not finite,
+        beyond 1e100 or negative.
+        """
+        check_name(body, self._bodies, "unknown body {}")
+        to = usable("to must be three finite numbers", to, (3,))
+        torque = usable("torque must be three finite numbers", torque, (3,))
+        for name, value in (("stiffness", stiffness), ("damping", damping), ("turning_damping", turning_damping)):
+            check_number(f"{name} must be a finite number", value)
+            if value < 0.0:
+                raise ValueError(f"{name} must not be negative, got {value!r}")
+        if point is not None:
+            point = tuple(usable("a point must be three finite numbers", point, (3,)).tolist())
+        _check_source(source)
+        values = (*map(float, (stiffness, damping, *to, *torque, turning_damping)),)
+        if not any((stiffness, damping, *torque, turning_damping)):
+            values = (0.0,) * len(values)
+        self._take(Command(PULL, body, values, None, None, source, point=point), start, duration)
 
     def apply_effort(
         self,
@@ -411,7 +468,7 @@ class Inputs:
     @property
     def has_wrenches(self) -> bool:
         """Whether a wrench or an effort acts that is not of the scene."""
-        return any(entry.command.kind in (WRENCH, EFFORT) for entry in self.schedule.acting)
+        return any(entry.command.kind in LOADS for entry in self.schedule.acting)
 
     @property
     def targets_by_joint(self):
@@ -425,7 +482,7 @@ class Inputs:
         return {command.name: command.values for command in commands if command.kind == MOTION}
 
     def clear_wrenches(self, source: str = "api") -> None:
-        """End all wrenches and efforts of a source, also those that start later."""
+        """End all wrenches, pulls and efforts of a source, also those that start later."""
         if source in self.schedule.sources:
             self._insert(Command(CLEAR, "", (), None, None, source), self._engine.now, AFTER)
 

@@ -21,7 +21,7 @@ from liegroup_core.parts import attached
 from liegroup_core.running_error import RunningError
 from liegroup_core.scene.description import Scene
 from liegroup_core.settings import SETTINGS, check_group, checked, of_engine
-from liegroup_core.state import State, decoded, encoded, kept, set_kept
+from liegroup_core.state import State, decoded, encoded, kept, set_kept, with_pulls
 from liegroup_core.stiffness import MethodChoice
 
 log = logging.getLogger("liegroup_core")
@@ -271,7 +271,7 @@ class Simulation(Engine):
         """Parts of a State as JSON types.
 
         From earlier versions they have a mask of the wrenches of the scene in the memory of a method, and those without
-        offsets the time in ns, and no Jacobians.
+        offsets the time in ns, and no Jacobians; and none has pulls.
         """
 
         def complete(parts, now_ns):
@@ -284,6 +284,8 @@ class Simulation(Engine):
                 given = given[:mask] + given[mask + 1 :]
                 given += encoded([np.zeros_like(array) for array in memory[len(given) :]])
                 parts = parts | {"memory": given}
+            if isinstance(given, list):
+                parts = parts | {"memory": [with_pulls(*each) for each in zip(given, memory)] + given[len(memory) :]}
             if whole:
                 return parts
             now = 0 if now_ns is None else self._grid.marked(now_ns).offset

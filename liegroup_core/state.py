@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from liegroup_core.fields.arguments import got
+from liegroup_core.forces.external import COLUMNS, PULL
 
 LARGEST_COUNT = 1 << 62  # of a step or another count
 
@@ -122,6 +123,28 @@ def encoded(value):
     if isinstance(value, float) and not math.isfinite(value):
         return repr(value)
     return value.item() if isinstance(value, np.generic) else value
+
+
+def with_pulls(data, like):
+    """Encoded array of an earlier version, in which external wrenches had no pulls, with the size of `like`.
+
+    like : (n, COLUMNS), or (1 + n COLUMNS + others,)
+    """
+    pulls = COLUMNS - PULL
+    if not isinstance(data, str) or like.dtype != float or len(data) == len(encoded(like)):
+        return data
+    try:
+        before = np.frombuffer(base64.b64decode(data, validate=True))
+    except ValueError:
+        return data
+    n, rest = divmod(like.size - before.size, pulls)
+    first = 0 if like.ndim == 2 else 1
+    if rest or n < 1 or before.size < first + n * PULL:
+        return data
+    rows = before[first : first + n * PULL].reshape(n, PULL)
+    return encoded(
+        np.concatenate([before[:first], np.pad(rows, ((0, 0), (0, pulls))).ravel(), before[first + n * PULL :]])
+    )
 
 
 def decoded(data, like, where="state"):

@@ -30,7 +30,7 @@ def apply_forces(model, work, external):
     """
     space = work.space
     place_bodies(model, work, space.stage_pose, space.stage_twist)
-    set_external_wrenches(external, space.stage_pose, work.wrench)
+    set_external_wrenches(external, space.stage_pose, space.stage_twist, work.wrench)
     laws, n = model.space.forces.laws, len(model.bodies)
     work.registers[0, 0] = work.clock.now[0]
     for s in range(len(model.law_links)):

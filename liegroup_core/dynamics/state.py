@@ -7,6 +7,7 @@ dynamics/coordinates.py.
 
 from liegroup_core.compiling import borrowed, kernel, shared
 from liegroup_core.forces import kinds as forces
+from liegroup_core.forces.external import PULL
 from liegroup_core.lie.vec3 import load3, store3
 from liegroup_core.mechanism.arrays import make_relative_work
 from liegroup_core.mechanism.bodies import copy_state, make_work
@@ -65,7 +66,7 @@ def enter(model, work, pose, twist, external):
         copy_state(pose, twist, work.space.stage_pose, work.space.stage_twist)
     total = 0.0
     for i in range(len(external)):
-        total += external[i, 15]
+        total += external[i, 15] + external[i, PULL]
         for c in range(6):
             total += abs(external[i, c])
     work.pushed[0] = total

@@ -12,9 +12,10 @@ from liegroup_core.joints.motion import COLUMNS
 
 from .instants import NS
 
-WRENCH, EFFORT, TARGET, MOTION, CLEAR = "wrench", "effort", "target", "motion", "clear"
+WRENCH, EFFORT, PULL, TARGET, MOTION, CLEAR = "wrench", "effort", "pull", "target", "motion", "clear"
 # {kind: number of its values} in what a run logs, records and keeps
-KINDS = {WRENCH: 6, EFFORT: 1, TARGET: 2, MOTION: COLUMNS, CLEAR: 0}
+KINDS = {WRENCH: 6, EFFORT: 1, PULL: 9, TARGET: 2, MOTION: COLUMNS, CLEAR: 0}
+LOADS = (WRENCH, EFFORT, PULL)  # what a clear ends, and zeros
 MOVE = "move"  # becomes motions when it starts, from where the joint is then
 AXES = ("body", "world")
 SCENE = "scene"  # source of what acts by the scene itself
@@ -23,15 +24,16 @@ SCENE = "scene"  # source of what acts by the scene itself
 class Command(NamedTuple):
     """Input of a run.
 
-    kind   : "wrench" on a body; "effort" at a joint; "target" of a servo; "motion" and "move" of a driven joint;
-             "clear", the end of all wrenches and efforts of a source
+    kind   : "wrench" and "pull" on a body; "effort" at a joint; "target" of a servo; "motion" and "move" of a driven joint;
+             "clear", the end of all loads of a source
     name   : of the body or joint
-    values : torque N m, force N (6,); effort N m or N (1,); position and velocity, rad or m (2,); motion (7,), see
+    values : torque N m, force N (6,); effort N m or N (1,); pull (9,): stiffness N/m, damping N s/m, point m in the
+             world, torque N m in world axes, damping of the rotation N m s/rad; position and velocity, rad or m (2,); motion (7,), see
              joints/motion.py; of a move, the position (NaN: any) and velocity that it reaches, and in how many s (3,)
     start_ns, end_ns : simulated time in ns, whole numbers where the time is one; None: now, and until it is replaced
     source : a command replaces that of the same kind, source and name
     axes   : "body" or "world", of a wrench
-    point  : (3,) m, in the body frame, at which the force of a wrench acts; None: the origin
+    point  : (3,) m, in the body frame, at which the force of a wrench or pull acts; None: the origin
     cleared_ns : in a state, simulated time in ns at which a clear ends it, before its end; else None
     """
 

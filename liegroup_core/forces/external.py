@@ -11,20 +11,29 @@ Forces F_i in world axes at body-fixed points p_i have the torque
 about the origin, in body axes. The levers G = sum of p_i F_i^T (3, 3) therefore represent any number of such
 forces exactly, at every attitude.
 
+A pull is a spring with a damper from a point p of the body to a fixed point in the world, and a torque with a damper:
+
+    force  k (x* - x_p) - c v_p  at p        torque  n - d omega        world axes
+
+It acts in each run on the state of this run, so two runs that differ are not pushed apart.
+
 Columns of the array (n, COLUMNS) that the integrators receive:
     0..5    torque N m, force N in body axes, about the centre of mass
     6..11   torque N m, force N in world axes, about the origin of the body frame
     12..14  centre of mass in the body frame, m
     15      2 if any of 16..24 is not zero, else 1 if any of 6..11 is not zero
     16..24  levers G by rows, N m
+    25      1 if a pull acts;  26, 27  k N/m, c N s/m;  28..30  x* m;  31..33  p m, relative to the centre of mass
+    34..36  n N m;  37  d N m s/rad
 """
 
 import numpy as np
 
 from liegroup_core.compiling import kernel
-from liegroup_core.lie.vec3 import add3, cross3, load3, load9, matmul3, store3, sub3, tmatvec3
+from liegroup_core.lie.vec3 import add3, axpy3, cross3, load3, load9, matmul3, matvec3, scale3, store3, sub3, tmatvec3
 
-COLUMNS = 25
+COLUMNS, PULL = 38, 25
+PULL_VALUES = COLUMNS - PULL - 1
 
 
 def no_wrenches(offsets):
@@ -35,7 +44,12 @@ def no_wrenches(offsets):
 
 
 def set_wrench(external, body, wrench, axes):
-    """Set the total in one of the axes of Schedule.total: "body", "world" (6,) or "levers" (9,) of a body."""
+    """Set the total in one of the axes of Schedule.total: "body", "world" (6,), "levers" (9,), "pull" (12,) of a body."""
+    if axes == "pull":
+        external[body, PULL] = float(any(wrench))
+        external[body, PULL + 1 :] = wrench
+        external[body, PULL + 6 : PULL + 9] -= external[body, 12:15] * external[body, PULL]
+        return
     if not any(wrench):
         wrench = (0.0,) * len(wrench)  # no negative zeros: equal totals have equal bits
     if axes == "body":
@@ -54,10 +68,15 @@ def _moment(point, force):
     return cross3(tuple(point.tolist()), tuple(force.tolist()))
 
 
+def acts(external):
+    """Whether any external wrench or pull acts."""
+    return bool(external[:, :6].any() or external[:, 15].any() or external[:, PULL].any())
+
+
 def power(external, pose, twist):
     """Power of external wrenches in a state at the centres of mass, W."""
     wrench = np.zeros_like(twist)
-    set_external_wrenches(external, pose, wrench)
+    set_external_wrenches(external, pose, twist, wrench)
     return float(np.vdot(wrench, twist))
 
 
@@ -77,10 +96,34 @@ def external_wrench(external, pose, i):
 
 
 @kernel
-def set_external_wrenches(external, pose, wrench_out):
-    """Write `external_wrench` of all bodies to wrench_out (n, 6)."""
+def _pull(external, i, rot, stretch, speed, turn):
+    """(torque, force) of a pull about the centre of mass, body axes.
+
+    stretch, speed, turn : x* - x_p in world axes, v_p and omega in body axes
+    """
+    force = axpy3(-external[i, PULL + 2], speed, scale3(external[i, PULL + 1], tmatvec3(rot, stretch)))
+    torque = axpy3(-external[i, PULL + 12], turn, cross3(load3(external, i, PULL + 6), force))
+    return torque, force
+
+
+@kernel
+def pull(external, pose, twist, i):
+    """(torque, force) of the pull at body i about its centre of mass, body axes."""
+    rot, point, turn = load9(pose, i, 0), load3(external, i, PULL + 6), load3(twist, i, 0)
+    stretch = sub3(load3(external, i, PULL + 3), add3(load3(pose, i, 9), matvec3(rot, point)))
+    speed = add3(load3(twist, i, 3), cross3(turn, point))
+    torque, force = _pull(external, i, rot, stretch, speed, turn)
+    return add3(torque, tmatvec3(rot, load3(external, i, PULL + 9))), force
+
+
+@kernel
+def set_external_wrenches(external, pose, twist, wrench_out):
+    """Write `external_wrench` and `pull` of all bodies to wrench_out (n, 6)."""
     for i in range(len(wrench_out)):
         torque, force = external_wrench(external, pose, i)
+        if external[i, PULL] != 0.0:
+            more = pull(external, pose, twist, i)
+            torque, force = add3(torque, more[0]), add3(force, more[1])
         store3(torque, wrench_out, i, 0)
         store3(force, wrench_out, i, 3)
 
@@ -100,7 +143,7 @@ def parts_of_wrench(wrench, axes, point):
 
 
 @kernel
-def set_changes(external, more, at, pose, moves, wrench_out):
+def set_changes(external, more, at, pose, twist, moves, rates, wrench_out):
     """Write the changes of the external wrenches along displacements, see kinds.add_changes, to wrench_out (n, 6).
 
     more : changes of their columns in body axes, from row `at` on
@@ -117,5 +160,16 @@ def set_changes(external, more, at, pose, moves, wrench_out):
                 x, y, z = turn
                 levers = matmul3(matmul3(load9(external, i, 16), rot), (0.0, -z, y, z, 0.0, -x, -y, x, 0.0))
                 torque = add3(torque, (levers[5] - levers[7], levers[6] - levers[2], levers[1] - levers[3]))
+        if external[i, PULL] != 0.0:
+            rot, turn, point = load9(pose, i, 0), load3(moves, i, 0), load3(external, i, PULL + 6)
+            moved = add3(load3(moves, i, 3), cross3(turn, point))  # of the point, body axes
+            speed = add3(load3(rates, i, 3), cross3(load3(rates, i, 0), point))
+            along = _pull(external, i, rot, matvec3(rot, scale3(-1.0, moved)), speed, load3(rates, i, 0))
+            at_point = add3(load3(pose, i, 9), matvec3(rot, point))
+            spring = tmatvec3(rot, sub3(load3(external, i, PULL + 3), at_point))
+            turned = scale3(external[i, PULL + 1], cross3(spring, turn))  # the spring's force turns back in the body
+            torque = add3(torque, add3(along[0], cross3(point, turned)))
+            torque = add3(torque, cross3(tmatvec3(rot, load3(external, i, PULL + 9)), turn))
+            force = add3(force, add3(along[1], turned))
         store3(torque, wrench_out, i, 0)
         store3(force, wrench_out, i, 3)

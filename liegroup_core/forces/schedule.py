@@ -5,6 +5,8 @@ A source applies at most one wrench to a body. A later wrench of the same source
 start; a zero wrench ends it. Wrenches of different sources add. A wrench is constant in body axes or in world axes
 from its start to its end. A step in which a wrench starts or ends is split there.
 
+A body has at most one pull (external.py): a later one replaces it, whatever its source.
+
 The effort of a joint is one command with constant wrenches on both bodies (joint_effort.py). A source applies at
 most one effort to a joint, by the same rules.
 
@@ -25,11 +27,12 @@ import numpy as np
 
 from liegroup_core.joints.motion import FROM_SCENE
 
-from .commands import EFFORT, MOTION, WRENCH, Command
+from .commands import EFFORT, LOADS, MOTION, Command
+from .external import PULL_VALUES
 from .instants import AFTER, BEFORE, NEVER, Instant
 
 # Totals: wrenches on a body in its axes, in world axes, and levers (external.py); of servos and of driven joints.
-BODY, IN_WORLD, LEVERS, SERVO, DRIVE = "body", "world", "levers", "servo", "drive"
+BODY, IN_WORLD, LEVERS, PULLED, SERVO, DRIVE = "body", "world", "levers", "pull", "servo", "drive"
 
 
 class ScheduledCommand(NamedTuple):
@@ -45,7 +48,7 @@ class ScheduledCommand(NamedTuple):
     @property
     def ends_at_once(self):
         """True for a zero wrench or effort, which ends the current one."""
-        return self.command.kind in (WRENCH, EFFORT) and not any(self.command.values)
+        return self.command.kind in LOADS and not any(self.command.values)
 
     @property
     def changes(self):
@@ -71,13 +74,14 @@ class Schedule:
     targets : (k, 2) target position and velocity of each servo without a command
     drives : number of driven joints
     scene  : [(Instant, Instant, key, parts, Command)] starts and ends of commands of the scene
-    total  : {axes: rows} sums of what acts: "body", "world" (n, 6), "levers" (n, 9), "servo" (k, 2), and "drive"
+    total  : {axes: rows} sums of what acts: "body", "world" (n, 6), "levers" (n, 9), "pull" (n, 12), "servo" (k, 2), and "drive"
              (d, 7) motions
     reached : last Instant of `update`
     """
 
     def __init__(self, body_count, targets=np.zeros((0, 2)), drives=0, scene=()):
         self._idle = {BODY: np.zeros((body_count, 6)), IN_WORLD: np.zeros((body_count, 6))}
+        self._idle |= {PULLED: np.zeros((body_count, PULL_VALUES))}
         self._idle |= {LEVERS: np.zeros((body_count, 9)), SERVO: targets, DRIVE: np.tile(FROM_SCENE, (drives, 1))}
         scene = [
             ScheduledCommand(start, end, k - len(scene), key, parts, command)

@@ -347,7 +347,7 @@ def _change_wrenches(model, work, external, more, targets, d, directions, links,
         store3(dV[0], rates, i, 0)
         store3(dV[1], rates, i, 3)
     pose, twist, forces = work.space.stage_pose, work.space.stage_twist, model.space.forces
-    set_changes(external, more, d * n, pose, moves, work.wrench)
+    set_changes(external, more, d * n, pose, twist, moves, rates, work.wrench)
     if forces.exist:
         at = d * len(work.targets)
         laws, f_all = forces.laws, len(work.freedoms)

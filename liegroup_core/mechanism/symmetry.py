@@ -162,7 +162,7 @@ def _outer_wrenches(scene, model, pose, rng):
     """Wrenches (n, 6) of gravity and all forces at a pose with random twists; world origin."""
     wrench = np.zeros((len(pose), 6))
     index = {body.name: i for i, body in enumerate(scene.bodies)}
-    set_external_wrenches(wrenches_of(scene.forces, index, Offsets(scene)), pose, wrench)
+    set_external_wrenches(wrenches_of(scene.forces, index, Offsets(scene)), pose, np.zeros_like(wrench), wrench)
     gravity.add_wrench(model, pose, wrench)
     forces = model.forces
     kinds.add_wrenches(

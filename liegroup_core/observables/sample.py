@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from liegroup_core.dynamics.constraints import position_residuals
 from liegroup_core.forces import kinds, law
 from liegroup_core.forces.acting import Acting
+from liegroup_core.forces.external import acts, set_external_wrenches
 from liegroup_core.forces.external import power as power_of
-from liegroup_core.forces.external import set_external_wrenches
 from liegroup_core.forces.instants import just_after
 from liegroup_core.joints import motion
 from liegroup_core.joints.kinds import TYPES
@@ -272,8 +272,8 @@ class Sample:
         Those of `apply_wrench` and `apply_effort`, at the end of the last step, and of the scene.
         """
         external, found = self.acting.external, np.zeros((len(self.pose), 6))
-        if external[:, :6].any() or external[:, 15].any():
-            set_external_wrenches(external, self._state[0], found)
+        if acts(external):
+            set_external_wrenches(external, *self._state, found)
             found[:, :3] += cross(self._layout.offsets.com, found[:, 3:])
         return found
 

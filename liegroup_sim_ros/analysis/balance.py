@@ -13,7 +13,7 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from liegroup_core.forces import kinds
-from liegroup_core.forces.external import power
+from liegroup_core.forces.external import acts, power
 from liegroup_core.observables.along import STORES, powers
 from liegroup_sim_ros.messages.joint_modes import ENERGY
 
@@ -98,7 +98,7 @@ class Balance:
         out = np.zeros((len(times), IMPACTS))
         if self._has_forces:
             out[:, :WRENCHES] = powers(layout, angles, acting.targets, times, pose, twist)
-        if acting.external[:, :6].any() or acting.external[:, 15].any():
+        if acts(acting.external):
             out[:, WRENCHES] = [power(acting.external, *state) for state in zip(pose, twist)]
         if self._has_joints:
             found = layout.reactions.powers(pose, twist, angles, acting, modes, times.tolist())

@@ -98,7 +98,10 @@ class State:
         self.forces = kinds.make_forces(described, INDEX, ends, counted)
         self.angle = np.full(len(self.forces.counted), 20.0)  # three turns
         kinds.count_turns(self.forces, flat(pose), self.angle)
-        self.targets, self.registers = kinds.target_values(self.forces), kinds.registers_at(self.forces, 2.0)
+        self.targets, self.registers = (
+            kinds.target_values(self.forces),
+            kinds.registers_at(self.forces, 2.0, self.angle),
+        )
 
     def wrench(self, twist):
         out = np.zeros((3, 6))
@@ -189,16 +192,17 @@ def test_the_change_of_the_wrench_is_its_derivative(kind, seed):
 
 
 def test_external_wrenches_change_with_the_attitude():
-    """Parts in body and in world axes, and a force at a point; differences as above."""
+    """Parts in body and in world axes, a force at a point, and a pull; differences as above."""
     rng = np.random.default_rng(8)
-    pose, moves, more = mechanisms.random_pose(rng), rng.normal(size=(1, 6)), rng.normal(size=(1, 25))
-    given, found, sums = rng.normal(size=(1, 25)), np.zeros((1, 6)), np.zeros((1, 6))
+    pose, moves, more = mechanisms.random_pose(rng), rng.normal(size=(1, 6)), rng.normal(size=(1, external.COLUMNS))
+    given, found, sums = rng.normal(size=(1, external.COLUMNS)), np.zeros((1, 6)), np.zeros((1, 6))
     given[0, 15] = 2.0
-    external.set_changes(given, more, 0, flat([pose]), moves, found)
+    twist, rates = rng.normal(size=(1, 6)), rng.normal(size=(1, 6))
+    external.set_changes(given, more, 0, flat([pose]), twist, moves, rates, found)
     for step, weight in ((-2, 1.0), (-1, -8.0), (1, 8.0), (2, -1.0)):
         s, out, pushed = 1e-3 * step, np.zeros((1, 6)), given.copy()
         pushed[:, :6] += s * more[:, :6]
-        external.set_external_wrenches(pushed, flat([displaced(pose, s * moves[0])]), out)
+        external.set_external_wrenches(pushed, flat([displaced(pose, s * moves[0])]), twist + s * rates, out)
         sums += weight * out / 12e-3
     assert np.abs(found - sums).max() <= 1e-9 * np.abs(sums).max()
 
@@ -269,7 +273,8 @@ def test_a_wrench_acts_where_it_is_told_to():
 def of_scene(forces, state):
     """(3, 6) wrenches in body axes of ConstantWrenches, about the origins of the body frames."""
     wrench, offsets = np.zeros((3, 6)), SimpleNamespace(com=np.zeros((3, 3)))
-    external.set_external_wrenches(wrenches_of(forces, INDEX, offsets), flat(state.matrices), wrench)
+    still = np.zeros((3, 6))
+    external.set_external_wrenches(wrenches_of(forces, INDEX, offsets), flat(state.matrices), still, wrench)
     return wrench
 
 

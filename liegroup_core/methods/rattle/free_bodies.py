@@ -42,7 +42,7 @@ def loads_of_bodies(model, work, external_in):
     external, space = borrowed(external_in), work.space
     pose, twist = space.stage_pose, space.stage_twist
     copy_bodies(model, work.stage_pose, work.stage_twist, pose, twist)
-    set_external_wrenches(external, pose, work.wrench)
+    set_external_wrenches(external, pose, twist, work.wrench)
     add_gravity(model.space, pose, work.wrench)
     work.registers[0, 0] = work.clock.now[0]
     add_wrenches(model.space.forces, work.angle, work.targets, work.registers, pose, twist, work.wrench)

@@ -96,7 +96,7 @@ def advance(model, work, spinners, memory, loads, corrections, rule, weights, h,
         status, finished = OK, False
         evaluation, previous, earlier = 0, math.inf, math.inf
         while not finished:
-            set_external_wrenches(external, work.stage_pose, work.wrench)
+            set_external_wrenches(external, work.stage_pose, work.stage_twist, work.wrench)
             add_gravity(model, work.stage_pose, work.wrench)
             stage_pose, stage_twist = work.stage_pose, work.stage_twist
             add_wrenches(model.forces, work.angle, work.targets, work.registers, stage_pose, stage_twist, work.wrench)
