@@ -24,12 +24,13 @@ SCENE = "scene"  # source of what acts by the scene itself
 class Command(NamedTuple):
     """Input of a run.
 
-    kind   : "wrench" and "pull" on a body; "effort" at a joint; "target" of a servo; "motion" and "move" of a driven joint;
-             "clear", the end of all loads of a source
+    kind   : "wrench" and "pull" on a body; "effort" at a joint; "target" of a servo; "motion" and "move" of a driven
+             joint; "clear", the end of all loads of a source
     name   : of the body or joint
     values : torque N m, force N (6,); effort N m or N (1,); pull (9,): stiffness N/m, damping N s/m, point m in the
-             world, torque N m in world axes, damping of the rotation N m s/rad; position and velocity, rad or m (2,); motion (7,), see
-             joints/motion.py; of a move, the position (NaN: any) and velocity that it reaches, and in how many s (3,)
+             world, torque N m in world axes, damping of the rotation N m s/rad; target (2,): position and
+             velocity, rad or m; motion (7,), see joints/motion.py; of a move, the position (NaN: any) and velocity
+             that it reaches, and in how many s (3,)
     start_ns, end_ns : simulated time in ns, whole numbers where the time is one; None: now, and until it is replaced
     source : a command replaces that of the same kind, source and name
     axes   : "body" or "world", of a wrench

@@ -74,8 +74,8 @@ class Schedule:
     targets : (k, 2) target position and velocity of each servo without a command
     drives : number of driven joints
     scene  : [(Instant, Instant, key, parts, Command)] starts and ends of commands of the scene
-    total  : {axes: rows} sums of what acts: "body", "world" (n, 6), "levers" (n, 9), "pull" (n, 12), "servo" (k, 2), and "drive"
-             (d, 7) motions
+    total  : {axes: rows} sums of what acts: "body", "world" (n, 6), "levers" (n, 9), "pull" (n, 12), "servo" (k, 2),
+             and "drive" (d, 7) motions
     reached : last Instant of `update`
     """
 

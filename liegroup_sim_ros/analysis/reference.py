@@ -8,7 +8,7 @@ state of each stretch. A stretch is a part of the recording between resets or se
 import numpy as np
 
 from liegroup_core.errors import SimulationError
-from liegroup_core.forces.commands import WRENCH
+from liegroup_core.forces.commands import EFFORT, WRENCH
 from liegroup_core.reference import JointChange, Reference, Trajectory, WrenchSpan, distance
 from liegroup_core.reference.trajectory import MOST_STEPS
 from liegroup_sim_ros.numbers import counted, shown
@@ -170,6 +170,8 @@ class ReferenceError:
             if command.kind == WRENCH:
                 found.append(WrenchSpan(first, last, command.name, command.values, command.axes, command.point))
                 continue
+            if command.kind != EFFORT:
+                raise SimulationError(f"the reference integration has no {command.kind}s")
             for body, unit in self._unit_efforts[command.name]:
                 wrench = tuple((command.values[0] * unit).tolist())
                 found.append(WrenchSpan(first, last, stretch.bodies[body], wrench))

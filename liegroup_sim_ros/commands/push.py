@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`liegroup_sim push`: apply a wrench to a body of a running simulation from another process.
+"""`liegroup_sim push`: apply a wrench to a body of a running simulation from another process, or pull at it.
 
-It publishes the wrench at a fixed rate, and a zero wrench at the end, also after Ctrl-C. It reports when
-the simulation applied the wrench. The duration is wall time.
+It publishes the wrench at a fixed rate, and a zero wrench at the end, also after Ctrl-C; a pull ends by itself. It
+reports when the simulation applied it. The duration is wall time.
 """
 
 import json
@@ -24,7 +24,7 @@ class PushError(LieGroupSimError):
 def add_arguments(parser):
     """Arguments of the subcommand."""
     parser.description = (
-        "Apply a wrench to a body of a running simulation node. Force and torque are in body "
+        "Apply a wrench to a body of a running simulation node, or pull at it. Force and torque are in body "
         "axes, the torque is about the origin of the body frame."
     )
     parser.add_argument("body", metavar="BODY", help="name of the body")
@@ -37,6 +37,13 @@ def add_arguments(parser):
             default=(0.0, 0.0, 0.0),
             help=f"{unit}, body axes (default: 0 0 0)",
         )
+    parser.add_argument(
+        "--to",
+        nargs=3,
+        type=float,
+        metavar=("X", "Y", "Z"),
+        help="m, world axes: pull the origin of the body there with a spring of 1 Hz, instead of a wrench",
+    )
     parser.add_argument(
         "--duration", type=float, default=1.0, metavar="S", help="duration in s of wall time (default: %(default)s)"
     )
@@ -69,11 +76,13 @@ def run(args):
 
 
 def _check(args):
-    numbers = (*args.force, *args.torque, args.duration, args.rate)
+    numbers = (*args.force, *args.torque, *(args.to or ()), args.duration, args.rate)
     if not all(map(math.isfinite, numbers)):
         raise PushError("all numbers must be finite")
-    if not any((*args.force, *args.torque)):
-        raise PushError("the wrench is zero: give --force X Y Z or --torque X Y Z")
+    if args.to is not None and any((*args.force, *args.torque)):
+        raise PushError("give either --to, or --force and --torque")
+    if args.to is None and not any((*args.force, *args.torque)):
+        raise PushError("the wrench is zero: give --force X Y Z, --torque X Y Z or --to X Y Z")
     if args.duration <= 0.0 or args.rate <= 0.0:
         raise PushError("--duration and --rate must be greater than 0")
 
@@ -81,7 +90,7 @@ def _check(args):
 def _push(args):
     """Apply the wrench; returns a line for the user."""
     import rclpy
-    from geometry_msgs.msg import WrenchStamped
+    from geometry_msgs.msg import PointStamped, WrenchStamped
     from rclpy.duration import Duration
     from rclpy.executors import SingleThreadedExecutor
     from rclpy.parameter_client import AsyncParameterClient
@@ -92,7 +101,8 @@ def _push(args):
     node = rclpy.create_node("liegroup_sim_push")
     executor = SingleThreadedExecutor()
     executor.add_node(node)
-    publisher = node.create_publisher(WrenchStamped, f"{name}/wrench", 10)
+    kind, topic = (WrenchStamped, "wrench") if args.to is None else (PointStamped, "pull")
+    publisher = node.create_publisher(kind, f"{name}/{topic}", 10)
     applied = []  # (start in s, command) on this body
 
     def listen(message):
@@ -136,10 +146,10 @@ def _push(args):
     if not spin_until(answer.done, ANSWER):
         raise PushError(f"{name} does not answer: it may be shutting down")
     frame = answer.result().values[0].string_value + args.body
-    message = WrenchStamped()
+    message = kind()
     message.header.frame_id = frame
-    zero = WrenchStamped(header=message.header)
-    for vector, values in ((message.wrench.force, args.force), (message.wrench.torque, args.torque)):
+    vectors = [(message.wrench.force, args.force), (message.wrench.torque, args.torque)] if args.to is None else []
+    for vector, values in vectors or [(message.point, args.to)]:
         vector.x, vector.y, vector.z = values
     start, sent = time.monotonic(), 0
     try:
@@ -153,20 +163,20 @@ def _push(args):
             if time.monotonic() - start > UNKNOWN:
                 refuse_unknown()
     finally:
-        publisher.publish(zero)
+        if args.to is None:
+            publisher.publish(WrenchStamped(header=message.header))
         seconds = time.monotonic() - start
         publisher.wait_for_all_acked(Duration(seconds=ANSWER))
 
     def vanished():
-        return len(applied) > 1 and not any(applied[-1][1]["values"])
+        return args.to is None and len(applied) > 1 and not any(applied[-1][1]["values"])
 
-    spin_until(vanished, ANSWER)
+    if args.to is None:
+        spin_until(vanished, ANSWER)
     refuse_unknown()
-    text = (
-        f"applied force {list(args.force)} N and torque {list(args.torque)} N m to "
-        f"{args.body} of {name} for {seconds:.2f} s: {sent} messages, then a zero "
-        "wrench\n"
-    )
+    what = f"applied force {list(args.force)} N and torque {list(args.torque)} N m to {args.body}"
+    what, then = (what, ", then a zero wrench") if args.to is None else (f"pulled {args.body} to {args.to} m", "")
+    text = f"{what} of {name} for {seconds:.2f} s: {sent} messages{then}\n"
     if not applied:
         return text + "the simulation has not applied it: it may be paused; see its log"
     return text + (

@@ -124,7 +124,7 @@ class _StampedCodec:
             text = f"a message is truncated or of another type: {len(payload)} bytes"
             raise MessageError(f"{cls.TYPE}: {text}") from None
         frame_id = payload[_FRAME_ID : _FRAME_ID + frame_size - 1].decode(errors="replace")
-        return sec * 1_000_000_000 + nanosec, frame_id, values if cls.COUNT == 7 else values[3:] + values[:3]
+        return sec * 1_000_000_000 + nanosec, frame_id, values if cls.COUNT != 6 else values[3:] + values[:3]
 
 
 class PoseStampedCodec(_StampedCodec):
@@ -134,6 +134,12 @@ class PoseStampedCodec(_StampedCodec):
 
     def encode(self, stamp_ns, position, quaternion):
         return self.encode_packed(pack_stamp(stamp_ns), _SEVEN(*position, *quaternion))
+
+
+class PointStampedCodec(_StampedCodec):
+    """geometry_msgs/msg/PointStamped, which is decoded only."""
+
+    TYPE, COUNT = "geometry_msgs/msg/PointStamped", 3
 
 
 class TwistStampedCodec(_StampedCodec):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Services without a standard type: set a state, apply a wrench at a point.
+"""Services without a standard type: set a state, apply a wrench at a point, pull at a point.
 
 Their type is rcl_interfaces/srv/SetParametersAtomically: a request is a list of named values, and the
 response says whether all were accepted, or why not. The names are not parameters of the node.
@@ -10,7 +10,7 @@ from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import parameter_value_to_python
 
 from liegroup_core.fields.values import LARGEST_NUMBER, suggestion
-from liegroup_core.forces.commands import WRENCH, Command
+from liegroup_core.forces.commands import PULL, WRENCH, Command
 from liegroup_core.joints.coupling import COUPLED
 from liegroup_core.lie.groups import SO3
 from liegroup_sim_ros.messages.commands import joint_labels
@@ -34,7 +34,7 @@ def Wrong(text):
 
 def offer(node):
     """Create the services of a SimNode."""
-    for name, serve in (("set_state", set_state), ("apply_wrench", apply_wrench)):
+    for name, serve in (("set_state", set_state), ("apply_wrench", apply_wrench), ("apply_pull", apply_pull)):
         node.create_service(
             SetParametersAtomically, f"~/{name}", lambda request, _, serve=serve: serve(node, _values(request))
         )
@@ -82,18 +82,45 @@ def apply_wrench(node, values):
     if axes == "body":
         force, torque = place[:3, :3] @ force, place[:3, :3] @ torque
     _vector("point times force", np.outer(point, force).ravel(), 9)
-    duration, name = values.get("duration"), values.get("name", "")
-    if type(duration) not in (int, float) or not 1e-9 <= duration <= LONGEST:
-        raise Wrong(f"duration must be a number of seconds from 1e-9 to {LONGEST:g}, got {_shown(duration)}")
-    if not isinstance(name, str):
-        raise Wrong(f"name must be a text, got {_shown(name)}")
+    duration, name = _duration_and_name(values)
     server = node.scene_run.server
     if server.inputs_held >= MOST:
         raise Wrong(f"{MOST} wrenches already act or are scheduled")
     wrench = (*torque.tolist(), *force.tolist())
     command = Command(WRENCH, body, wrench, None, None, f"{SOURCE}/{body}/{name}", axes, tuple(point.tolist()))
-    server.push([command], float(duration))
+    server.push([command], duration)
     return f"wrench on {body} for {duration:g} s, from the next step after {server.stamp_ns * 1e-9:.9g} s"
+
+
+def apply_pull(node, values):
+    """Pull at a point of a body with a spring and a damper to a point in the world, from the next step on."""
+    numbers = ("stiffness", "damping", "turning_damping")
+    known = {"body", "to", "point", "torque", *numbers, "duration", "name"}
+    for name in values.keys() - known:
+        raise Wrong(f"unknown name {name!r:.60}: choose from {', '.join(sorted(known))}")
+    body, place = _body_or_link(node, values.get("body", ""))
+    to, point, torque = (_vector(name, values.get(name, [0.0] * 3), 3) for name in ("to", "point", "torque"))
+    for name in numbers:
+        value = values.get(name, 0.0)
+        if type(value) not in (int, float) or not bounded([value]) or value < 0.0:
+            raise Wrong(f"{name} must be a finite number that is not negative, got {_shown(value)}{BOUND}")
+    k, c, turning = (float(values.get(name, 0.0)) for name in numbers)
+    point = place[:3, :3] @ point + place[:3, 3]
+    duration, name = _duration_and_name(values)
+    given = (k, c, *to.tolist(), *torque.tolist(), turning)
+    given = given if any((k, c, *torque, turning)) else (0.0,) * len(given)
+    source = f"{SOURCE}/{body}/{name}"
+    node.scene_run.server.push([Command(PULL, body, given, None, None, source, point=tuple(point.tolist()))], duration)
+    return f"pull on {body} for {duration:g} s, from the next step after {node.scene_run.server.stamp_ns * 1e-9:.9g} s"
+
+
+def _duration_and_name(values):
+    duration, name = values.get("duration"), values.get("name", "")
+    if type(duration) not in (int, float) or not 1e-9 <= duration <= LONGEST:
+        raise Wrong(f"duration must be a number of seconds from 1e-9 to {LONGEST:g}, got {_shown(duration)}")
+    if not isinstance(name, str):
+        raise Wrong(f"name must be a text, got {_shown(name)}")
+    return float(duration), name
 
 
 def _values(request):

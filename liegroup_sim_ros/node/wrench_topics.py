@@ -3,7 +3,7 @@
 
 from functools import partial
 
-from geometry_msgs.msg import WrenchStamped
+from geometry_msgs.msg import PointStamped, WrenchStamped
 from std_msgs.msg import String
 
 from liegroup_sim_ros.messages.links import link_of_body, merged_links
@@ -33,19 +33,26 @@ class WrenchTopics(InputTopics):
         self._values, self._step, self._server = values, step, server
         links = link_of_body(layout.scene)
         merged = merged_links(layout.scene)
-        self.input = WrenchInput(layout.body_names, values.world_frame, values.frame_prefix, links, merged)
+        masses = {body.name: body.mass for body in layout.scene.bodies}
+        names, frames = layout.body_names, (values.world_frame, values.frame_prefix)
+        self.input = WrenchInput(names, *frames, links, merged, masses)
         of_all = [("~/wrench", "wrench", None), ("~/wrench/persistent", "persistent", None)]
         for topic, kind, body in (*of_all, *((f"~/{body}/wrench", "body", body) for body in own)):
             self._subscribe(topic, WrenchStamped, partial(self._receive, kind=kind, body=body), DEPTH)
         self._subscriptions.append(node.create_subscription(String, "~/wrench/clear", self._clear, DEPTH))
+        self._subscribe("~/pull", PointStamped, self._pull, DEPTH)
 
     def _receive(self, payload, kind, body):
-        push = self.input.read(payload, kind, body, self._server.stamp_ns, self._server.inputs_held)
+        wrench = self.input.read(payload, kind, body, self._server.stamp_ns, self._server.inputs_held)
         values = self._values
         hold = "until_replaced" if kind == "persistent" else values.wrench_hold
         self._server.push(
-            [push], {"one_step": self._step, "timeout": values.wrench_timeout, "until_replaced": None}[hold]
+            [wrench], {"one_step": self._step, "timeout": values.wrench_timeout, "until_replaced": None}[hold]
         )
+
+    def _pull(self, payload):
+        pull = self.input.read_pull(payload, self._server.stamp_ns, self._server.inputs_held)
+        self._server.push([pull], self._values.wrench_timeout)
 
     def _clear(self, message):
         body, name = self.input.body_and_name(message.data)

@@ -3,6 +3,7 @@
 
 import numpy as np
 
+from liegroup_core.forces.commands import PULL
 from liegroup_core.observables.quantities import COORDINATE, POSITION, QUATERNION, TWIST, WRENCH
 from liegroup_sim_ros.messages.commands import MOTION_COLUMNS
 from liegroup_sim_ros.messages.joint_modes import COLUMNS as MODE_COLUMNS
@@ -15,6 +16,19 @@ WIDE = {
     "joint_modes": ("joint_modes", MODE_COLUMNS),
     "errors": ("errors", ("position", "attitude", "velocity", "angular_velocity")),  # m, rad, m/s, rad/s
 }
+
+
+# Of a pull, which has its torque in the columns of a wrench.
+PULLED = ("stiffness", "damping", "to_x", "to_y", "to_z", "turning_damping")
+
+
+def _wrench_of(command):
+    values = command.values[5:8] if command.kind == PULL else command.values
+    return (*values, *(np.nan,) * 6)[:6]
+
+
+def _pull_of(command):
+    return (*command.values[:5], command.values[8]) if command.kind == PULL else (np.nan,) * 6
 
 
 def data_frame(recording, what):
@@ -36,10 +50,10 @@ def data_frame(recording, what):
     elif what == "inputs":
         none = (np.nan,) * 3
         rows = [
-            (c.kind, c.name, c.source, c.axes, *(*c.values, *none, *none)[:6], *(c.point or none), c.start_ns, c.end_ns)
+            (c.kind, c.name, c.source, c.axes, *_wrench_of(c), *_pull_of(c), *(c.point or none), c.start_ns, c.end_ns)
             for c in recording.inputs
         ]
-        columns = ["kind", "name", "source", "axes", *WRENCH, "px", "py", "pz", "start", "end"]
+        columns = ["kind", "name", "source", "axes", *WRENCH, *PULLED, "px", "py", "pz", "start", "end"]
         frame = pandas.DataFrame(rows, recording.inputs.stamp_ns * 1e-9, columns)
         frame[["start", "end"]] = frame[["start", "end"]].astype(float) * 1e-9
     elif what in WIDE:

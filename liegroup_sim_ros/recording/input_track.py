@@ -1,17 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Commands of wrenches and efforts in a recording, 136 bytes each, and when they act."""
+"""Commands of wrenches, efforts and pulls in a recording, 160 bytes each, and when they act."""
 
 from array import array
 
 import numpy as np
 
-from liegroup_core.forces.commands import AXES, CLEAR, EFFORT, WRENCH, Command
+from liegroup_core.forces.commands import AXES, CLEAR, EFFORT, PULL, WRENCH, Command
+from liegroup_core.forces.commands import KINDS as SIZES
 
-KINDS = (WRENCH, EFFORT, CLEAR)
+KINDS = (WRENCH, EFFORT, CLEAR, PULL)
 FOREVER = 1 << 62  # ns; end of a command that acts until it is replaced
 # Whole numbers and floats of a command.
 STAMP, START, END, KIND, IN_AXES, NAME, SOURCE, HAS_POINT = range(8)
-INTS, FLOATS = 8, 9
+INTS, VALUES = 8, SIZES[PULL]
+FLOATS = VALUES + 3
 
 
 class InputTrack:
@@ -30,7 +32,7 @@ class InputTrack:
 
     def add(self, stamp_ns, base_ns, command):
         """Append a Command that was given at a stamp; base_ns : stamp of step 0."""
-        values = *command.values, *(0.0,) * (6 - len(command.values))
+        values = *command.values, *(0.0,) * (VALUES - len(command.values))
         numbers = (self._names.setdefault(text, len(self._names)) for text in (command.name, command.source))
         end = FOREVER if command.end_ns is None else base_ns + round(command.end_ns)
         has_point = command.point is not None
@@ -65,9 +67,9 @@ class InputTrack:
         row, numbers = self._rows[k].tolist(), self._values[k].tolist()
         names = list(self._names)
         kind = KINDS[row[KIND]]
-        count = {WRENCH: 6, EFFORT: 1, CLEAR: 0}[kind]
+        count = SIZES[kind]
         end = None if row[END] == FOREVER else row[END] - self.base_ns
-        point = tuple(numbers[6:]) if row[HAS_POINT] else None
+        point = tuple(numbers[VALUES:]) if row[HAS_POINT] else None
         axes, name, source = AXES[row[IN_AXES]], names[row[NAME]], names[row[SOURCE]]
         return Command(kind, name, tuple(numbers[:count]), row[START] - self.base_ns, end, source, axes, point)
 
@@ -84,7 +86,8 @@ class InputTrack:
     def spans(self):
         """(start (m,), end (m,), number (m,)): ns since `base_ns` in which commands that are not zero act.
 
-        A command ends where a later one of the same source, kind and name starts, or its source is cleared.
+        A command ends where a later one of the same source, kind and name starts, a pull where one of any source does,
+        or its source is cleared.
         """
         rows, order = self._rows.copy(), np.arange(len(self))
         is_clear = rows[:, KIND] == KINDS.index(CLEAR)
@@ -95,13 +98,14 @@ class InputTrack:
             rows[mine, END] = np.minimum(rows[mine, END], at)
         order = order[~dropped]
         keys = rows[order][:, [SOURCE, KIND, NAME]]
+        keys[keys[:, 1] == KINDS.index(PULL), 0] = -1
         by_key = np.lexsort((order, rows[order, START], *keys.T[::-1]))
         order, keys = order[by_key], keys[by_key]
         start, end = rows[order, START], rows[order, END]
         if len(order) > 1:
             follows = (keys[1:] == keys[:-1]).all(axis=1)
             end[:-1] = np.where(follows, np.minimum(end[:-1], start[1:]), end[:-1])
-        acts = (end > start) & self._values[order, :6].any(axis=1)
+        acts = (end > start) & self._values[order, :VALUES].any(axis=1)
         by_start = np.argsort(start[acts], kind="stable")
         order = order[acts][by_start]
         return start[acts][by_start] - self.base_ns, _since(end[acts][by_start], self.base_ns), order

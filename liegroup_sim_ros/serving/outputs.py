@@ -11,7 +11,7 @@ import logging
 import time
 
 from liegroup_core.errors import LieGroupSimError
-from liegroup_core.forces.commands import EFFORT, WRENCH
+from liegroup_core.forces.commands import LOADS
 from liegroup_core.forces.kinds import target_values
 from liegroup_core.joint_events import has_impacts
 from liegroup_core.joints.motion import FROM_SCENE
@@ -325,7 +325,7 @@ class Outputs:
 
         Late subscribers receive the history of the topic, so it must always contain such a message.
         """
-        commands = [c for part in present.as_they_end for c in part if c.kind in (WRENCH, EFFORT)]
+        commands = [c for part in present.as_they_end for c in part if c.kind in LOADS]
         self._inputs.publish(inputs.encode(base_ns, commands, everything=True))
         self._sent = 0
 

@@ -8,18 +8,23 @@ the node's prefix and its name. Torques are about the origin of the body frame. 
 slash, as in `top/left`, distinguishes publishers of one topic. Wrenches of different topics and
 names add up; a wrench replaces the previous one of the same topic and name.
 
+On ~/pull, a point in world axes is where the origin of the body in frame_id is pulled by a spring, see read_pull.
+
 A wrench starts at its stamp if that is in the future, else with the next step. A message is
 accepted or refused as a whole; refusals are counted by reason.
 """
 
+import math
+
 import numpy as np
 
 from liegroup_core.fields.values import suggestion
-from liegroup_core.forces.commands import WRENCH, Command
-from liegroup_sim_ros.messages.codecs import WrenchStampedCodec
+from liegroup_core.forces.commands import PULL, WRENCH, Command
+from liegroup_sim_ros.messages.codecs import PointStampedCodec, WrenchStampedCodec
 
 from .counted_input import LONGEST_NAME, CountedInput, bounded
 
+FREQUENCY, DAMPING = 1.0, 0.7  # of a pull: Hz of the mass of its body, and part of critical damping
 REASONS = ("not_finite", "no_frame", "unknown_frame", "stamp_too_far", "too_many", "damaged")
 
 
@@ -32,14 +37,15 @@ class WrenchInput(CountedInput):
     """Decoder and counter of wrench messages.
 
     bodies       : names of the bodies
+    masses       : {body: kg}, for pulls
     world_frame  : frame id of the world
     frame_prefix : prefix of the frame ids of the bodies
     links        : {body: its link in a robot file}, second names of the frames
     merged       : {link: (its body, (4, 4) pose in the body frame)} of other links
     """
 
-    def __init__(self, bodies, world_frame, frame_prefix="", links=None, merged=None):
-        self._bodies = {name: name for name in bodies}
+    def __init__(self, bodies, world_frame, frame_prefix="", links=None, merged=None, masses=None):
+        self._bodies, self._masses = {name: name for name in bodies}, masses
         self._named = {link: body for body, link in (links or {}).items() if body in self._bodies}
         self._named |= self._bodies
         self._merged = merged or {}
@@ -81,6 +87,28 @@ class WrenchInput(CountedInput):
         self.accepted += 1
         source = source_prefix(kind, f"{target}/{name}" if name else target)
         return Command(WRENCH, target, wrench, start_ns if start_ns > now_ns else None, None, source, axes)
+
+    def read_pull(self, payload, now_ns, held):
+        """Command of a serialized PointStamped on ~/pull; arguments as of `read`. Raises Refusal.
+
+        frame_id is a body, and the point, in world axes, is where its origin, or that of its link, is pulled.
+        """
+        start_ns, frame_id, to = self.decoded(PointStampedCodec.decode_one, payload)
+        target, name = self.body_and_name(frame_id)
+        if target is None:
+            self.refuse("unknown_frame", lambda: f"~/pull: {frame_id[:LONGEST_NAME]!r}; {self._frames(None, frame_id)}")
+        if not bounded(to):
+            self.refuse("not_finite", lambda: f"~/pull for {target}: a component is NaN or infinite, or too large")
+        self.refuse_far_stamp(start_ns, now_ns, target)
+        self.refuse_too_many(held, target)
+        self.accepted += 1
+        link = frame_id[len(self._prefix) :].partition("/")[0]
+        point = None if link in self._named else tuple(self._merged[link][1][:3, 3].tolist())
+        omega = 2.0 * math.pi * FREQUENCY
+        stiffness = self._masses[target] * omega**2
+        values = (stiffness, 2.0 * DAMPING * omega * self._masses[target], *to, 0.0, 0.0, 0.0, 0.0)
+        source, start = source_prefix("pull", f"{target}/{name}" if name else target), start_ns
+        return Command(PULL, target, values, start if start > now_ns else None, None, source, point=point)
 
     def refuse_clear(self, text):
         """Count a ~/wrench/clear with an unknown body. Raises Refusal."""

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The hand: a spring from the point of a body that was picked to the mouse, as a recorded wrench.
+"""The hand: a spring from the point of a body that was picked to the mouse, as a recorded pull (forces/external.py).
 
 The spring makes the picked point swing at FREQUENCY in its most mobile direction: k = m (2 pi FREQUENCY)^2, with the
-effective mass m, the smallest eigenvalue of (J M^-1 J^T)^-1 at the point. So a force that changes thirty times a second
-is stable on light and heavy bodies alike. With ctrl it is a spring of torsion about the axis that
-turns the body along the mouse. A force ends HOLD after the last one: a page that hangs lets go.
+effective mass m, the smallest eigenvalue of (J M^-1 J^T)^-1 at the point. So it feels alike on light
+and heavy bodies. With ctrl it is a spring of torsion about the axis that
+turns the body along the mouse. A pull ends HOLD after the last one: a page that hangs lets go.
 """
 
 import math
@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from liegroup_core.forces.external import no_wrenches, set_wrench
 
 FREQUENCY, DAMPING = 1.0, 0.7  # Hz; part of critical damping
-HOLD = 0.3  # s of simulated time that a force acts
+HOLD = 0.3  # s of simulated time that a pull acts
 TURN = 0.25  # of the size of the mechanism: distance of the mouse for one radian
 RECENT = 150  # frames in which a pressed body is looked for: 1.5 s of a simulation in real time
 SLOW = 0.02  # of the size of the mechanism: a shorter recent path needs no disc
@@ -137,19 +137,18 @@ class Hand:
             self._grip = grip._replace(tip=tip, axis=axis)
 
     def hold(self, frame):
-        """Apply the wrench of the spring; called at the rate of the page."""
+        """Pull with the spring; called at the rate of the page."""
         with self._lock:
             grip = self._grip
         if grip is None or frame is None or self._page.cursor is not None:
             return
-        found = self.wrench(frame.sample, grip)
+        found = self.spring(frame.sample, grip)
         name = self._layout.body_names[grip.body]
         if found is None:
             self.shown = f"{name} cannot {'move there' if grip.axis is None else 'turn'}"
             return
-        force, torque = found
-        if self._page.attempt(self._page.source.push, name, (*torque, *force), HOLD, tuple(grip.point)):
-            size = np.linalg.norm(torque if grip.axis is not None else force)
+        if self._page.attempt(self._page.source.pull, name, found, HOLD, tuple(grip.point)):
+            size = self._size_of(frame.sample, grip, found)
             with self._lock:
                 is_held = self._grip is not None  # the mouse may have been released meanwhile
                 if is_held:
@@ -159,20 +158,24 @@ class Hand:
         else:
             self.let_go()
 
-    def wrench(self, sample, grip):
-        """(force, torque) in world axes of the spring at a Sample; None if the body cannot move that way."""
-        pose, twist = sample.pose[grip.body], sample.twist[grip.body]
-        turn = pose[:9].reshape(3, 3)
-        at = pose[9:] + turn @ grip.point
-        if grip.axis is None:
-            stretch, rate = grip.tip - at, turn @ (twist[3:] + np.cross(twist[:3], grip.point))
-        else:
-            stretch, rate = grip.axis / (TURN * self._layout.size), turn @ twist[:3]
+    def spring(self, sample, grip):
+        """Values (9,) of a pull at a Sample, see commands.py; None if the body cannot move that way."""
         inertia, omega = self._inertia(sample, grip), 2.0 * math.pi * FREQUENCY
         if inertia is None:
             return None
-        pull = inertia * (omega**2 * stretch - 2.0 * DAMPING * omega * rate)
-        return (pull, np.zeros(3)) if grip.axis is None else (np.zeros(3), pull)
+        stiffness, damping = inertia * omega**2, 2.0 * DAMPING * omega * inertia
+        if grip.axis is None:
+            return stiffness, damping, *grip.tip.tolist(), 0.0, 0.0, 0.0, 0.0
+        return 0.0, 0.0, 0.0, 0.0, 0.0, *(stiffness * grip.axis / (TURN * self._layout.size)).tolist(), damping
+
+    def _size_of(self, sample, grip, values):
+        """Magnitude of the force of a pull, N, or of its torque, N m, at a Sample."""
+        pose, twist = sample.pose[grip.body], sample.twist[grip.body]
+        turn = pose[:9].reshape(3, 3)
+        if grip.axis is not None:
+            return np.linalg.norm(np.array(values[5:8]) - values[8] * turn @ twist[:3])
+        speed = turn @ (twist[3:] + np.cross(twist[:3], grip.point))
+        return np.linalg.norm(values[0] * (grip.tip - pose[9:] - turn @ grip.point) - values[1] * speed)
 
     def _inertia(self, sample, grip):
         """Smallest effective mass of the point, kg, or moment of inertia of the body, kg m^2, over all directions."""

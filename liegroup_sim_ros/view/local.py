@@ -10,7 +10,7 @@ from concurrent.futures import TimeoutError as Late
 from types import SimpleNamespace
 
 from liegroup_core import Simulation
-from liegroup_core.forces.commands import EFFORT, MOVE, TARGET, WRENCH, Command
+from liegroup_core.forces.commands import EFFORT, MOVE, PULL, TARGET, Command
 from liegroup_sim_ros.recording import attachments
 from liegroup_sim_ros.recording.checkpoints import Checkpoints
 from liegroup_sim_ros.recording.write import Recorder
@@ -186,14 +186,14 @@ class Local(Source):
     def _refused(self, text):
         self.tell(self.server.stamp_ns * 1e-9, "refused", text)
 
-    def push(self, body, wrench, seconds, point):
-        """Apply a wrench (torque, force) in world axes at a point of a body for a simulated time."""
+    def pull(self, body, values, seconds, point):
+        """Pull at a point of a body for a simulated time; values : of a Command."""
         source, point = f"{SOURCE}/{body}", tuple(map(float, point))
-        command = Command(WRENCH, body, tuple(map(float, wrench)), None, None, source, "world", point)
+        command = Command(PULL, body, tuple(map(float, values)), None, None, source, point=point)
         self.server.push([command], seconds, self._refused)
 
     def release(self, body):
-        """End the wrench of `push`."""
+        """End the pull."""
         self.server.clear(f"{SOURCE}/{body}")
 
     def _back(self, time_s):

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from liegroup_core import Simulation
 from liegroup_core.errors import SceneError
-from liegroup_core.forces.commands import EFFORT, MOTION, WRENCH, Command
+from liegroup_core.forces.commands import LOADS, MOTION, Command
 from liegroup_core.forces.instants import StepGrid
 from liegroup_core.inputs import Inputs
 from liegroup_core.joints.motion import FROM_SCENE
@@ -29,7 +29,7 @@ from .source import Source, Status, ViewFrame, allowed
 log = logging.getLogger("liegroup_core")
 
 DISCOVERY, ANSWER = 10.0, 3.0  # s
-WRENCH_NAME = "view"  # of the wrenches of the hand
+PULL_NAME = "view"  # of the pulls of the hand
 GRID = 1e-6  # s, of the times at which wrenches act; only drawing depends on it
 STATES = {
     "start": "running",
@@ -222,7 +222,7 @@ class Remote(Source):
     def _take_inputs(self, payload):
         self._base_ns, commands = inputs.decode(payload)
         for command in commands:
-            if command.kind in (WRENCH, EFFORT):
+            if command.kind in LOADS:
                 self._commands[command.kind, command.source, command.name] = command
         if len(self._commands) > 1000:
             self._commands = dict(list(self._commands.items())[-500:])
@@ -304,7 +304,7 @@ class Remote(Source):
         return ", ".join(f"{name} {value}" for name, value in values.items())
 
     def _own(self, service, values):
-        """Call ~/set_state or ~/apply_wrench."""
+        """Call ~/set_state or ~/apply_pull."""
         from rcl_interfaces.srv import SetParametersAtomically
         from rclpy.parameter import Parameter
 
@@ -336,25 +336,16 @@ class Remote(Source):
         publisher.publish(message)
         return f"{joint}: {kind} {value:g}"
 
-    def push(self, body, wrench, seconds, point):
-        """Apply a wrench (torque, force) in world axes at a point of a body for a simulated time."""
-        torque, force = ([float(x) for x in part] for part in (wrench[:3], wrench[3:]))
-        self._own(
-            "apply_wrench",
-            {
-                "body": body,
-                "force": force,
-                "torque": torque,
-                "point": [float(x) for x in point],
-                "axes": "world",
-                "duration": float(seconds),
-                "name": WRENCH_NAME,
-            },
-        )
+    def pull(self, body, values, seconds, point):
+        """Pull at a point of a body for a simulated time; values : of a Command."""
+        k, c, *rest, turning = map(float, values)
+        given = {"stiffness": k, "damping": c, "to": rest[:3], "torque": rest[3:], "turning_damping": turning}
+        given |= {"body": body, "point": [float(x) for x in point], "duration": float(seconds), "name": PULL_NAME}
+        self._own("apply_pull", given)
 
     def release(self, body):
-        """End the wrench of `push`: it lasts a moment only."""
-        self.push(body, [0.0] * 6, 1e-6, [0.0] * 3)
+        """End the pull: it lasts a moment only."""
+        self.pull(body, [0.0] * 9, 1e-6, [0.0] * 3)
 
     def branch(self, time_s):
         """Simulation in this process from a pose and twist that were received, with the accuracy of the node."""

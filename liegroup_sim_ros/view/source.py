@@ -84,15 +84,15 @@ class Source:
         """`ask` for a command whose event tells of it."""
         self.ask(command, *arguments)
 
-    def push(self, body, wrench, seconds, point):
-        """Apply a wrench (torque, force) in world axes, at a point (3,) of a body's frame, for a simulated time in s.
+    def pull(self, body, values, seconds, point):
+        """Pull at a point (3,) of a body's frame for a simulated time in s.
 
-        It replaces the last one on this body.
+        values (9,) : of a Command, see commands.py. It replaces the last one on this body.
         """
-        raise ViewError(f"{self.title} takes no wrenches")
+        raise ViewError(f"{self.title} takes no pulls")
 
     def release(self, body):
-        """End the wrench of `push`."""
+        """End the pull."""
 
     def branch(self, time):
         """Source that continues from an instant of `history`, in this process, paused. Raises LieGroupSimError."""

@@ -55,7 +55,7 @@ def test_damping_and_torque():
     assert simulation.input_count <= 2
     simulation.advance_to(20.5)
     assert simulation.input_count == 0
-    assert simulation.sample().twist[0, 3:] @ [0, 0, 1] == 0 or simulation.sample().pose[0, 11] < 0
+    assert simulation.sample().pose[0, 11] < sample.pose[0, 11] - 0.5  # it falls
 
 
 @pytest.mark.parametrize("name", ["four_bar", "slider_crank", "double_pendulum"])
@@ -79,8 +79,8 @@ def test_bits_of_replays_restores_and_branches():
         return Simulation(load_scene("four_bar"), accuracy=1e-6, quiet=True)
 
     simulation, replay = fresh(), fresh()
-    simulation.pull("rocker" if "rocker" in simulation.layout.body_names else simulation.layout.body_names[-1], TO, 20.0,
-                    1.0, start=0.0313, duration=0.2, point=[0.1, 0, 0], source="x")  # fmt: skip
+    last = simulation.layout.body_names[-1]
+    simulation.pull(last, TO, 20.0, 1.0, start=0.0313, duration=0.2, point=[0.1, 0, 0], source="x")
     simulation.advance_to(0.11)
     branch, restored = copy.deepcopy(simulation), fresh()
     restored.restore(simulation.snapshot())
@@ -91,9 +91,10 @@ def test_bits_of_replays_restores_and_branches():
         run.advance_to(0.3)
     poses = {run.sample().pose.tobytes() for run in (simulation, replay, branch, restored)}
     assert len(poses) == 1
-    simulation.pull(simulation.layout.body_names[-1], TO, 20.0, source="x")
+    simulation.pull(last, TO, 20.0, source="x")
     simulation.clear_wrenches("x")
-    assert not simulation.has_wrenches if hasattr(simulation, "has_wrenches") else True
+    simulation.advance(1)
+    assert simulation.input_count == 0
 
 
 def test_linear_systems_have_the_pull():

@@ -430,7 +430,7 @@ def test_a_time_line_goes_back_to_every_instant_that_was_seen():
     source = Local(Simulation(load_scene("double_pendulum")), "pendulum", factor=4.0)
     try:
         while source.frame().time < 1.0:
-            source.push("lower", (0, 0, 0, 5 * math.sin(20 * source.frame().time), 3, 1), 0.3, (0.1, 0, 0))
+            source.pull("lower", (9, 1, math.sin(20 * source.frame().time), 0.3, 0.1, 0, 0, 0, 0), 0.3, (0.1, 0, 0))
             time.sleep(0.02)
         source.ask("pause")
         assert source._commands
@@ -509,7 +509,8 @@ def test_the_hand_pulls_with_the_stated_frequency(name, body):
     stretch = 0.1 * vectors[:, -1]
     rate = turn @ (sample.twist[body, 3:] + np.cross(sample.twist[body, :3], point))
     omega = 2.0 * math.pi * FREQUENCY
-    force, torque = hand.wrench(sample, Grip(body, point, at + stretch, None, 0))
+    k, c, *to = hand.spring(sample, Grip(body, point, at + stretch, None, 0))
+    force, torque = k * (np.array(to[:3]) - at) - c * rate, np.array(to[3:])
     expected = (omega**2 * stretch - 1.4 * omega * rate) / values[-1]
     assert force == pytest.approx(expected, rel=1e-6, abs=1e-9 * np.abs(expected).max()) and not torque.any()
 
