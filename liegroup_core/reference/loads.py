@@ -16,7 +16,7 @@ import numpy as np
 
 from liegroup_core.compiling import kernel, subroutine
 
-from .vectors import add_three, cross, dot, plus, point, three, turned, turning
+from .vectors import add_force, add_three, cross, dot, plus, point, slide, three, turned, turning
 
 
 class Loads(NamedTuple):
@@ -37,17 +37,10 @@ class Loads(NamedTuple):
 
 
 @kernel
-def _add_force(force, frame, body, position, factor, f):
-    """Add a multiple of a force at a position, both in world axes."""
-    add_three(force, body, 0, factor, f)
-    add_three(force, body, 3, factor, cross(plus(position, -1.0, three(frame, body, 9)), f))
-
-
-@kernel
 def _between(force, frame, bodies, i, position, f, axis):
     """Add a force f along an axis at a position on the child, and its opposite on the parent."""
-    _add_force(force, frame, bodies[i, 1], position, f, axis)
-    _add_force(force, frame, bodies[i, 0], position, -f, axis)
+    add_force(force, frame, bodies[i, 1], position, f, axis)
+    add_force(force, frame, bodies[i, 0], position, -f, axis)
 
 
 @kernel
@@ -76,15 +69,15 @@ def _joint_forces(loads, frame, angle, force, angle_rate_out):
         add_three(force, child, 3, torque, axis)
         add_three(force, parent, 3, -torque, axis)
     for i in range(len(loads.slide_body)):
-        parent, child = loads.slide_body[i, 0], loads.slide_body[i, 1]
-        axis = turned(frame, parent, three(loads.slide_axis, i, 0))
-        start, end = (
-            point(frame, parent, three(loads.slide_point, i, 0)),
-            point(frame, child, three(loads.slide_point, i, 3)),
+        axis, position, coordinate, rate = slide(
+            frame,
+            loads.slide_body[i, 0],
+            loads.slide_body[i, 1],
+            three(loads.slide_axis, i, 0),
+            three(loads.slide_point, i, 0),
+            three(loads.slide_point, i, 3),
         )
-        d, d_rate = plus(end[0], -1.0, start[0]), plus(end[1], -1.0, start[1])
-        rate = dot(cross(three(frame, parent, 15), axis), d) + dot(axis, d_rate)
-        _between(force, frame, loads.slide_body, i, end[0], _value(loads.slide_law, i, dot(axis, d), rate), axis)
+        _between(force, frame, loads.slide_body, i, position, _value(loads.slide_law, i, coordinate, rate), axis)
 
 
 @subroutine
@@ -110,7 +103,7 @@ def add_loads(loads, mass, frame, angle, wrench, force, angle_rate_out):
         add_three(force, i, 3, 1.0, turned(frame, i, three(wrench, i, 0)))
         add_three(force, i, 3, 1.0, three(wrench, i, 6))
         at = plus(three(frame, i, 9), 1.0, turned(frame, i, three(wrench, i, 12)))
-        _add_force(force, frame, i, at, 1.0, three(wrench, i, 9))
+        add_force(force, frame, i, at, 1.0, three(wrench, i, 9))
         for k in range(3):
             axis = frame[i, k], frame[i, 3 + k], frame[i, 6 + k]
             add_three(force, i, 3, 1.0, cross(axis, three(wrench, i, 15 + 3 * k)))

@@ -26,6 +26,7 @@ import numpy as np
 from liegroup_core.compiling import kernel, subroutine
 
 from .equations import Equations, joint_equations
+from .laws import Laws, add_laws
 from .loads import Loads, add_loads
 from .vectors import FRAME, cross, dot, place, plus, three, turned, turned_back
 
@@ -42,6 +43,7 @@ class System(NamedTuple):
     size: float  # m, characteristic length
     equations: Equations
     loads: Loads
+    laws: Laws
 
 
 class Chosen(NamedTuple):
@@ -136,9 +138,10 @@ def _set_matrix(system, chosen, rows, frame, moved, matrix):
 
 
 @subroutine
-def rates(system, chosen, given, states, wrench, out):
+def rates(system, chosen, times, given, states, wrench, out):
     """Compute the time derivatives of p states; NaN where the accelerations are not determined.
 
+    times  : (p,) s
     given  : (p, 3, d) coordinate, rate and acceleration of the driven joints
     states : (p, 13 n + t)
     wrench : (n, 24) external wrenches, see loads.add_loads
@@ -153,12 +156,14 @@ def rates(system, chosen, given, states, wrench, out):
     rows, gap, moved = np.zeros((k, width)), np.zeros((3, k)), np.zeros((k, width))
     matrix, x = np.zeros((m, m)), np.zeros(m)
     total = np.zeros(m)
+    stack, values = np.empty(system.laws.sizes[1]), np.empty(system.laws.sizes[0])
     least = 1.0
     for p in range(len(states)):
         state, angle = states[p, :turns].reshape(n, STATE), states[p, turns:]
         force[:] = 0.0
         place(state, frame)
         add_loads(system.loads, system.mass, frame, angle, wrench, force, out[p, turns:])
+        add_laws(system.laws, times[p], state, frame, angle, stack, values, force)
         for i in range(n):
             omega = three(state, i, 10)
             torque = turned_back(frame, i, three(force, i, 3))

@@ -8,6 +8,7 @@ from liegroup_core.scene.consistency import resolve_frames
 from liegroup_core.scene.massless import lack_of_inertia
 
 from .equations import ANGLE, DISTANCE, JOINTS, LEVEL, Equations, X
+from .laws import angles_of, build_laws
 from .loads import Loads
 from .rigid_body_dae import System
 
@@ -27,7 +28,7 @@ def build_system(scene, pose, angles=None):
     Raises SimulationError for a joint or force without equations here.
     """
     index = {body.name: i for i, body in enumerate(scene.bodies)} | {"world": len(scene.bodies)}
-    supported = {*JOINTS, "spring_damper", *TURNING, *SLIDING, "drag", "applied_wrench"}
+    supported = {*JOINTS, "spring_damper", *TURNING, *SLIDING, "drag", "applied_wrench", "law"}
     for entry in (*scene.joints, *scene.forces):
         if entry.type not in supported:
             raise SimulationError(f"the reference integration does not support {entry.type} ({entry.name})")
@@ -49,6 +50,8 @@ def build_system(scene, pose, angles=None):
     joints = {joint.name: joint for joint in scene.joints}
     turns = [(joint, FREE) for joint in scene.joints if joint.type == "screw"]
     turns += [(joints[force.joint], _law(force)) for force in scene.forces if force.type in TURNING]
+    read_angles = {joint.name: len(turns) + k for k, joint in enumerate(angles_of(scene, joints))}
+    turns += [(joints[name], FREE) for name in read_angles]
     slides = [(joints[force.joint], _law(force)) for force in scene.forces if force.type in SLIDING]
     coupled = [joints[name] for entry in scene.couplings for name in (entry.joint, *entry.others)]
     coupled += [joint for joint in scene.joints if joint.driven for _ in range(2)]
@@ -64,6 +67,7 @@ def build_system(scene, pose, angles=None):
         size=float(np.linalg.norm(equations.point.reshape(-1, 2, 3), axis=2).max(initial=0.0)) or 1.0,
         equations=equations,
         loads=_loads(scene, index, frames, turns, slides),
+        laws=build_laws(scene, index, joints, frames, read_angles),
     )
     return system, start
 

@@ -385,7 +385,7 @@ class _Run:
 
         def function(times, states, out):
             given = np.stack([self._given(time) for time in times])
-            self._pivot = rates(system, self._chosen, given, states, wrench, out)
+            self._pivot = rates(system, self._chosen, times, given, states, wrench, out)
 
         if self._solver is None:
             self._chosen, self._rank = _independent(system, unit_rows(system, self._state, self._given(begin))[0])

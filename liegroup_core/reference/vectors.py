@@ -80,6 +80,24 @@ def turning(frame, parent, child):
 
 
 @kernel
+def slide(frame, parent, child, fixed, start, end):
+    """Axis, position of its end, displacement and rate of a joint that slides.
+
+    fixed, start : direction and point of the parent;  end : point of the child
+    """
+    axis, begin, end = turned(frame, parent, fixed), point(frame, parent, start), point(frame, child, end)
+    d, d_rate = plus(end[0], -1.0, begin[0]), plus(end[1], -1.0, begin[1])
+    return axis, end[0], dot(axis, d), dot(cross(three(frame, parent, 15), axis), d) + dot(axis, d_rate)
+
+
+@kernel
+def add_force(force, frame, body, position, factor, f):
+    """Add a multiple of a force at a position, both in world axes, to the row (force, torque) of a body."""
+    add_three(force, body, 0, factor, f)
+    add_three(force, body, 3, factor, cross(plus(position, -1.0, three(frame, body, 9)), f))
+
+
+@kernel
 def place(state, frame_out):
     """Write the frames (n + 1, FRAME) of a state (n, 13), whose quaternions may have any norm; the last is the world's.
 

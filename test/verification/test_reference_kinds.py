@@ -28,6 +28,7 @@ from liegroup_core.scene import (
 from liegroup_core.scene.assembly import assembled
 from liegroup_core.scene.centres import at_centres_of_mass
 from liegroup_core.scene.description import ScrewJoint
+from liegroup_core.scene.load import scene_from_text
 
 AXIS = np.array([1.0, 2.0, 2.0]) / 3.0
 MASS, INERTIA = 2.0, 0.4
@@ -110,6 +111,24 @@ linear_servo:
 drag:
   - {name: s, body: a, linear: 2, quadratic: 3, angular: 0.5, angular_quadratic: 0.7}
   - {name: t, body: h, quadratic: 1}
+law:
+  - name: s
+    inputs: {q: j2.position, w: j2.velocity, p: j4.position, u: j4.velocity, a: j7.position, b: j7.velocity}
+    parameters: {k: 4, c: 0.3}
+    tables: {cog: {x: [-60, 0.2, 90], y: [1, -2, 3]}}
+    signals: {e: "k*sin(3*t + q) - c*w if -9 < q <= 9 or w > 90 else cog(q)", f: "cog(a + 40)*b**2"}
+    outputs:
+      - {joint: j2, effort: "clip(e, -k, 9) - log(2 + q**2)"}
+      - {joint: j4, effort: "20*(0.3 - p) - 3*u*abs(w) + 5*exp(-t)*cos(20*t)"}
+      - {joint: j7, effort: "3*tanh(5*a - 3*b) + max(f, -8, e - 90)"}
+  - name: t
+    inputs: {e: s.e, x: {quantity: a.x, point: [0.3, 0.1, 0]}, z: h.z, i: a.qx, j: g.qy, k: h.qw, l: b.qz, m: c.wy,
+      n: {quantity: h.vz, point: [0.3, 1, 2]}}
+    outputs:
+      - {body: a, force: [9*i + 1, "atan2(x, 2 + z)*e", x**3], torque: [j, "asin(0.9*sin(z))", "sqrt(1 + z*z)"],
+         point: [1, 0.2, 3]}
+      - {body: h, force: [e*k, acos(0.4*j), -n], torque: ["min(m, 90)", "2**(l/9)", "tan(i/3) + atan(x)"],
+         point: [0.1, 0, -1], axes: world}
 applied_wrench:
   - {name: s, body: a, torque: [1, 2, 3], force: [4, 5, -6], point: [1, 0.2, 3], start: 0.0303, end: 0.0811}
   - {name: t, body: g, torque: [1, 2, 3], force: [4, 5, -6], point: [1, 0.2, 3], axes: world, end: 0.0507}
@@ -126,6 +145,71 @@ def test_every_kind_of_force(kind):
     assert_agreement(scene, times, 1e-3)
     without = reference(plain.model_copy(update={"forces": ()}), times)[0]
     assert distance(without, reference(scene, times)[0]).position.max() > 1e-3
+
+
+UNDER_LAWS = {
+    "a pendulum that follows a sine": """
+bodies:
+- {name: bob, mass: 0.8, inertia: [0.1, 0.05, 0.1], com: [0, 0, -0.5], rotation_vector: [0, 0.7, 0]}
+joints:
+- {name: hinge, type: revolute, parent: world, child: bob, parent_frame: {axis: [0, 1, 0]},
+   child_frame: {axis: [0, 1, 0]}}
+forces:
+- {name: pd, type: law, inputs: {q: hinge.position, w: hinge.velocity}, parameters: {kp: 6, kd: 0.4},
+   outputs: [{joint: hinge, effort: kp*(0.5*sin(2*t) - q) - kd*w}]}
+""",
+    "a body at a magnet": """
+bodies:
+- {name: bob, mass: 1, inertia: [0.1, 0.2, 0.15], com: [0.02, 0, 0.01], position: [0.6, 0, 0.1],
+   linear_velocity: [0, 0.8, 0.1], angular_velocity: [0.3, 2, -1]}
+forces:
+- name: magnet
+  type: law
+  inputs: {x: {quantity: bob.x, point: &at [0, 0.1, 0.2]}, y: {quantity: bob.y, point: *at},
+    z: {quantity: bob.z, point: *at}, qx: bob.qx, qw: bob.qw}
+  signals: {r2: x**2 + y**2 + z**2 + 0.05}
+  outputs:
+  - {body: bob, point: [0, 0.1, 0.2], axes: world, torque: [0, 0.05*sin(3*t)*qw*qx, 0],
+     force: [-0.4*x/r2**1.5, -0.4*y/r2**1.5, -0.4*z/r2**1.5]}
+""",
+    # Friction of the table has kinks at four rates.
+    "a double pendulum with friction by a table": """
+bodies:
+- {name: upper, mass: 1, inertia: [0.1, 0.1, 0.02], com: [0, 0, -0.5], rotation_vector: [0, 1.2, 0]}
+- {name: lower, mass: 0.7, inertia: [0.05, 0.05, 0.01], com: [0, 0, -0.4]}
+joints:
+- {name: shoulder, type: revolute, parent: world, child: upper, parent_frame: {axis: [0, 1, 0]},
+   child_frame: {axis: [0, 1, 0]}}
+- {name: elbow, type: revolute, parent: upper, child: lower, parent_frame: {position: [0, 0, -1], axis: [0, 1, 0]},
+   child_frame: {axis: [0, 1, 0]}, coordinate: -0.5}
+assemble: true
+forces:
+- name: friction
+  type: law
+  inputs: {w: elbow.velocity, v: shoulder.velocity}
+  tables: {mu: {x: [-9, -1, -0.05, 0.05, 1, 9], y: [0.6, 0.4, 0.9, -0.9, -0.4, -0.6]}}
+  outputs: [{joint: elbow, effort: mu(w)}, {joint: shoulder, effort: 0.5*mu(v)}]
+""",
+}
+
+
+@pytest.mark.parametrize("name", UNDER_LAWS)
+def test_laws_at_a_tight_accuracy(name):
+    """The engine is within its accuracy, the reference within its uncertainty, which is not larger than 1e-9."""
+    scene = scene_from_text("name: laws\ngravity: [0, 0, -9.81]\n" + UNDER_LAWS[name], "test")
+    times, samples = np.linspace(0.0, 2.0, 5), []
+    simulation = Simulation(scene, accuracy=1e-10, quiet=True)
+    for time in times:
+        simulation.advance_to(time)
+        samples.append(simulation.sample())
+    pose, twist = (np.array([getattr(sample, key) for sample in samples]) for key in ("pose", "twist"))
+    found = Trajectory(times, pose[..., :9].reshape(len(times), -1, 3, 3), pose[..., 9:], twist)
+    exact, known = reference(scene, times)
+    apart = distance(found, exact)
+    assert apart.angle.max() <= 1e-10 + known.angle.max() <= 1e-9
+    assert apart.position.max() <= 1e-10 + known.position.max() <= 1e-9
+    without = reference(scene.model_copy(update={"forces": ()}), times)[0]
+    assert distance(without, exact).angle.max() > 0.05
 
 
 # Steps that the fastest motion of each asks for; the others take 1 ms.

@@ -1,0 +1,171 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Formulas of laws for the reference integration: Python's syntax tree in postfix order, for a stack machine.
+
+The scene has been checked, so no formula is wrong here. It shares nothing with forces/formulas.py. An instruction is
+(operation, argument): LOAD and STORE have the number of a value, PUSH that of a number, TABLE that of a table. The
+others replace their operands on top of the stack by their result; a condition is 1 or 0.
+"""
+
+import ast
+import math
+
+import numpy as np
+
+from liegroup_core.compiling import kernel, subroutine
+
+LOAD, STORE, PUSH, TABLE, CHOOSE = 0, 1, 2, 3, 4
+_UNARY = {ast.USub: 10, ast.Not: 11, "sin": 12, "cos": 13, "tan": 14, "asin": 15, "acos": 16, "atan": 17}
+_UNARY |= {"exp": 18, "log": 19, "sqrt": 20, "tanh": 21, "abs": 22}
+_BINARY = {ast.Add: 30, ast.Sub: 31, ast.Mult: 32, ast.Div: 33, ast.Pow: 34, "atan2": 35, "min": 36, "max": 37}
+_BINARY |= {ast.Lt: 38, ast.LtE: 39, ast.Gt: 40, ast.GtE: 41, ast.Eq: 42, ast.NotEq: 43, ast.And: 44, ast.Or: 45}
+_NUMBERS = {"pi": math.pi, "inf": math.inf}
+
+
+class Postfix:
+    """Instructions of formulas, one after another.
+
+    code : [(operation, argument)];  numbers : [float];  tables : [(x, y)];  deepest : largest size of the stack
+    """
+
+    def __init__(self):
+        self.code, self.numbers, self.tables, self.deepest, self._size = [], [], [], 0, 0
+
+    def add(self, text, names, tables, to):
+        """Append a formula whose result is value number `to`.
+
+        names : {name: number of a value, or a float};  tables : {name: number of a table}
+        """
+        self._names, self._tables = _NUMBERS | names, tables
+        self._walk(ast.parse(text, mode="eval").body)
+        self._do(STORE, to, 1, 0)
+
+    def _do(self, operation, argument, takes, gives=1):
+        self.code.append((operation, argument))
+        self._size += gives - takes
+        self.deepest = max(self.deepest, self._size)
+
+    def _push(self, number):
+        self.numbers.append(float(number))
+        self._do(PUSH, len(self.numbers) - 1, 0)
+
+    def _walk(self, node):
+        if isinstance(node, ast.Constant):
+            self._push(node.value)
+        elif isinstance(node, ast.Name):
+            known = self._names[node.id]
+            if isinstance(known, float):
+                self._push(known)
+            else:
+                self._do(LOAD, known, 0)
+        elif isinstance(node, ast.UnaryOp):
+            self._walk(node.operand)
+            if not isinstance(node.op, ast.UAdd):
+                self._do(_UNARY[type(node.op)], 0, 1)
+        elif isinstance(node, ast.BinOp):
+            self._apply(_BINARY[type(node.op)], node.left, node.right)
+        elif isinstance(node, ast.BoolOp):
+            self._apply(_BINARY[type(node.op)], *node.values)
+        elif isinstance(node, ast.Compare):
+            values = node.left, *node.comparators
+            for k, op in enumerate(node.ops):
+                self._apply(_BINARY[type(op)], values[k], values[k + 1])
+                if k > 0:
+                    self._do(_BINARY[ast.And], 0, 2)
+        elif isinstance(node, ast.IfExp):
+            for part in (node.body, node.orelse, node.test):
+                self._walk(part)
+            self._do(CHOOSE, 0, 3)
+        else:
+            self._call(node.func.id, node.args)
+
+    def _apply(self, operation, first, *others):
+        """Apply an operation of two operands from left to right."""
+        self._walk(first)
+        for other in others:
+            self._walk(other)
+            self._do(operation, 0, 2)
+
+    def _call(self, name, arguments):
+        if name == "clip":
+            value, low, high = arguments
+            self._apply(_BINARY["max"], value, low)
+            self._walk(high)
+            self._do(_BINARY["min"], 0, 2)
+        elif name in _BINARY:
+            self._apply(_BINARY[name], *arguments)
+        else:
+            self._walk(arguments[0])
+            known = name in _UNARY
+            self._do(_UNARY[name] if known else TABLE, 0 if known else self._tables[name], 1)
+
+
+@kernel
+def _interpolated(first, points, number, x):
+    """Value of a table; its points are those from first[number] on."""
+    begin, end = first[number], first[number + 1]
+    k = begin
+    while k < end and points[k, 0] <= x:
+        k += 1
+    if k == begin or k == end:
+        return points[min(k, end - 1), 1] + 0.0 * x
+    share = (x - points[k - 1, 0]) / (points[k, 0] - points[k - 1, 0])
+    return (1.0 - share) * points[k - 1, 1] + share * points[k, 1]
+
+
+@kernel
+def _unary(operation, a):
+    if operation < 15:
+        if operation < 12:
+            return -a if operation == 10 else 1.0 * (a == 0.0)
+        return np.sin(a) if operation == 12 else (np.cos(a) if operation == 13 else np.tan(a))
+    if operation < 18:
+        return np.arcsin(a) if operation == 15 else (np.arccos(a) if operation == 16 else np.arctan(a))
+    if operation < 20:
+        return np.exp(a) if operation == 18 else np.log(a)
+    return np.sqrt(a) if operation == 20 else (np.tanh(a) if operation == 21 else np.abs(a))
+
+
+@kernel
+def _comparison(operation, a, b):
+    if operation < 42:
+        below = a < b if operation == 38 else a <= b
+        above = a > b if operation == 40 else a >= b
+        return below if operation < 40 else above
+    if operation < 44:
+        return a == b if operation == 42 else a != b
+    return a != 0.0 and b != 0.0 if operation == 44 else a != 0.0 or b != 0.0
+
+
+@kernel
+def _binary(operation, a, b):
+    if operation < 33:
+        return a + b if operation == 30 else (a - b if operation == 31 else a * b)
+    if operation < 36:
+        return a / b if operation == 33 else (a**b if operation == 34 else np.arctan2(a, b))
+    if operation < 38:
+        return np.minimum(a, b) if operation == 36 else np.maximum(a, b)
+    return 1.0 * _comparison(operation, a, b)
+
+
+@subroutine
+def evaluate(code, numbers, first, points, stack, values):
+    """Execute instructions (p, 2) on values (m,); the points of table k are points[first[k]:first[k + 1]]."""
+    top = -1
+    for i in range(len(code)):
+        operation, argument = code[i, 0], code[i, 1]
+        if operation == LOAD or operation == PUSH:
+            top += 1
+            stack[top] = values[argument] if operation == LOAD else numbers[argument]
+        elif operation == STORE:
+            values[argument] = stack[top]
+            top -= 1
+        elif operation == TABLE:
+            stack[top] = _interpolated(first, points, argument, stack[top])
+        elif operation == CHOOSE:
+            top -= 2
+            stack[top] = stack[top] if stack[top + 2] != 0.0 else stack[top + 1]
+        elif operation < 30:
+            stack[top] = _unary(operation, stack[top])
+        else:
+            top -= 1
+            stack[top] = _binary(operation, stack[top], stack[top + 1])
