@@ -101,7 +101,15 @@ def describe(layout):
             | {"ratio": found.ratio, "curve": list(found.curve), "terms": entry.terms, "offset": found.offset}
             for entry, found in zip(scene.couplings, coupled)
         ],
-        "forces": [{"name": force.name, "type": force.type, "on": _acts_on(force)} for force in scene.forces],
+        "forces": [
+            {
+                "name": force.name,
+                "type": force.type,
+                "on": _acts_on(force),
+                "signals": list(getattr(force, "signals", ())),
+            }
+            for force in scene.forces
+        ],
         "sensors": [{"name": sensor.name, "type": sensor.type, "on": _acts_on(sensor)} for sensor in scene.sensors],
         "undetermined": layout.reactions.reasons(layout.reactions.undetermined),
         "degrees_of_freedom": 6 * len(model.bodies)
@@ -280,7 +288,9 @@ def _direction(normal):
 
 
 def _acts_on(force):
-    """Names of the two ends of a force, of its joint, or of its body."""
+    """Names of the two ends of a force, of its joint or its body, or of all joints and bodies that a law acts on."""
+    if force.type == "law":
+        return list(dict.fromkeys(each.joint or each.body for each in force.outputs))
     if hasattr(force, "joint"):
         return [force.joint]
     return [force.body] if hasattr(force, "body") else [force.parent, force.child]

@@ -48,7 +48,7 @@ class Row(NamedTuple):
     along: Callable | None = None
 
 
-KINDS = {"coordinate": "joint", "driven": "joint", "contact": "joint", "signal": "force"}  # of owners
+KINDS = {"coordinate": "joint", "driven": "joint", "contact": "joint", "signal": "law"}  # of owners
 
 
 def _rotations(poses, columns):
@@ -134,7 +134,7 @@ TABLE = {
     ),
     "totals": Row("coordinate", ("total_effort",), ("{effort}",), _ALL_EFFORTS, _totals),
     "powers": Row("coordinate", ("power",), ("W",), "total effort times velocity", _powers),
-    "signals": Row("signal", (), (), "of laws", lambda s, _: list(s.signals.values()), RATES),
+    "signals": Row("signal", (), (), "numbers of a law", lambda s, _: list(s.signals.values()), RATES),
     "sensors": Row("sensor", (), (), "as the sensor measures", _sensors),
 }
 GROUPS = (*TABLE, *JOINED)

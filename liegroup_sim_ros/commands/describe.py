@@ -142,7 +142,7 @@ def sections(facts):
                 for entry in facts["couplings"]
             ],
         ),
-        ("Forces", [(force["name"], force["type"], " - ".join(force["on"])) for force in facts["forces"]]),
+        ("Forces", [_force_row(force) for force in facts["forces"]]),
         ("Sensors", [(each["name"], each["type"], " - ".join(each["on"])) for each in facts["sensors"]]),
         ("Degrees of freedom", _freedom_rows(facts)),
         ("Reactions", [(joint, "undetermined", why) for joint, why in facts["undetermined"].items()]),
@@ -166,6 +166,14 @@ def sections(facts):
             ],
         ),
     ]
+
+
+def _force_row(force):
+    """Row of a force: its ends, or what a law acts on and its signals."""
+    if force["type"] != "law":
+        return force["name"], force["type"], " - ".join(force["on"])
+    parts = [("on", force["on"]), ("signals", force["signals"])]
+    return force["name"], "law", "; ".join(f"{title} {', '.join(names)}" for title, names in parts if names)
 
 
 def _vector(values):

@@ -30,7 +30,7 @@ MOST_CHOSEN = 6  # curves of many that are visible at first
 TURNS = "angles are shown from -pi to pi, unless the joint"
 # {(part, unit) of columns of joints: (title, remark or None: that of the quantity)} of their plots.
 JOINT_PLOTS = {
-    ("position", "rad"): ("Joint angles", f"{TURNS} has a spring, servo, coupling or drive"),
+    ("position", "rad"): ("Joint angles", f"{TURNS} has a spring, servo, law, coupling or drive"),
     ("position", "m"): ("Joint displacements", "along the axes"),
     ("velocity", "rad/s"): ("Joint angular velocities", "rates of the angles"),
     ("velocity", "m/s"): ("Joint velocities", "rates of the displacements"),
@@ -39,7 +39,7 @@ JOINT_PLOTS = {
     ("power", "W"): ("Joint powers", None),
 }
 PARTS = tuple(dict.fromkeys(part for part, _ in JOINT_PLOTS))
-PICKS = {"body": "Bodies", "joint": "Joints", "force": "Forces", "sensor": "Sensors", "": "Mechanism"}
+PICKS = {"body": "Bodies", "joint": "Joints", "force": "Forces", "law": "Signals", "sensor": "Sensors", "": "Mechanism"}
 
 
 def make_plots(analysis, columns=()):
@@ -54,6 +54,7 @@ def make_plots(analysis, columns=()):
     marks = curves.get("joint_events")
     restarts = np.array([stretch.begin_ns * 1e-9 for stretch in analysis.motion.stretches[1:]][:MOST_RESTARTS])
     bands = _push_bands(figures, analysis.motion) + _event_lines(marks, "--grey") + _event_lines(restarts, "--violet")
+    columns = [*(["signals"] if analysis.layout.signals else []), *columns]
     plots += _joint_plots(analysis, bands) + (_column_plots(*analysis.columns(columns), bands) if columns else [])
     if curves["balance"]:
         plots += _energy_plots(figures["balance"], curves["balance"], bands)
@@ -234,13 +235,15 @@ def _joint_plots(analysis, bands):
 
 
 def _column_plots(times, columns, values, bands, titles=MappingProxyType({}), chosen=None):
-    """Plots of Columns over time, by part and unit, with a curve for each owner.
+    """Plots of Columns over time, by part and unit or by law, with a curve for each owner.
 
     titles : as JOINT_PLOTS, for the order and the texts;  chosen : owners that are visible at first
     """
     found, rank, plots = {}, {key: k for k, key in enumerate(titles)}, []
     for name, unit, quantity, y in zip(columns.names, columns.units, columns.quantities, values.T):
         owner, _, part = name.rpartition(".")
+        if quantity.kind == "law":
+            owner, part = part, owner  # one plot for all signals of a law
         if np.isfinite(y).any():
             found.setdefault((quantity.kind, quantity.frame, part, unit), {})[owner or name] = y
     looks = _looks(dict.fromkeys(name for curves in found.values() for name in curves))

@@ -13,6 +13,7 @@ from liegroup_core.methods.table import METHODS
 from liegroup_core.scene.library import chain
 from liegroup_core.scene.load import scene_from_text
 from liegroup_sim_ros.chapter.joint_runs import four_bar
+from liegroup_sim_ros.commands.describe import sections
 
 
 def test_a_motion_of_the_scene_beyond_the_limits_of_its_joint_is_a_note():
@@ -131,6 +132,21 @@ def test_heavy_top():
     assert facts["forces"] == [{"name": "spring", "type": "spring_damper", "on": ["world", "top"]}]
     assert facts["solve"] == {"rows": 0, "numbers": 0, "dense_share": 0.0, "refinements": 0}
     assert len(facts["kept_momentum"]) == 1 and facts["methods"] == list(METHODS)
+
+
+def test_a_law_names_what_it_acts_on_and_its_signals():
+    text = """
+{name: s, gravity: [0, 0, 0], bodies: [{name: b, mass: 1, inertia: [1, 1, 1]}], joints: [{name: j, type: revolute,
+parent: world, child: b, child_frame: {}}], forces: [{name: own, type: law, signals: {f: sin(t), g: 2*f}, outputs: [
+{joint: j, effort: f}, {body: b, force: [g, 0, 0]}, {joint: j, effort: 1}]}, {name: plan, type: law, signals: {h: t}}]}
+"""
+    facts = describe(make_layout(scene_from_text(text)))
+    assert facts["forces"] == [
+        {"name": "own", "type": "law", "on": ["j", "b"], "signals": ["f", "g"]},
+        {"name": "plan", "type": "law", "on": [], "signals": ["h"]},
+    ]
+    (rows,) = [rows for title, rows in sections(facts | {"cost": {}}) if title == "Forces"]
+    assert rows == [("own", "law", "on j, b; signals f, g"), ("plan", "law", "signals h")]
 
 
 def test_a_loop_names_its_redundant_constraint_row():

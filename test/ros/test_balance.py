@@ -64,6 +64,11 @@ CASES = {
         {"more": FORCE.format("drag, body: block, linear: 0.4")},
         kinetic(SPEED * math.exp(-0.4 / MASS * END)) - kinetic(SPEED),
     ),
+    "law": (
+        "laws",
+        {"more": FORCE.format("law, signals: {f: 3*cos(2*t)}, outputs: [{joint: rail, effort: f}]")},
+        kinetic(SPEED + 1.5 / MASS * math.sin(2.0 * END)) - kinetic(SPEED),
+    ),
     "wrench of the scene": (
         "wrenches",
         {"more": FORCE.format("applied_wrench, body: block, force: [3, 0, 0], start: 0.1234, end: 1.2345")},
@@ -170,6 +175,25 @@ def test_curves_of_a_joint_are_those_of_the_closed_form(tmp_path):
     axes = "m", "m/s", "N", "W"
     assert [drawn[f"Joint {name}"][0] for name in ("displacements", "velocities", "forces", "powers")] == [*axes]
     assert drawn["Body x"][1] == pytest.approx(x.tolist(), abs=1e-4)
+
+
+def test_all_signals_of_a_law_are_one_plot(tmp_path):
+    """A force of a velocity is drawn at its joint, a sine at its times; a law without signals has no plot."""
+    more = """
+forces:
+  - {name: feed, type: law, inputs: {v: rail.velocity}, signals: {wave: 0.3*sin(2*t), rate: v - wave},
+     outputs: [{joint: rail, effort: -2*v}]}
+  - {name: push, type: law, outputs: [{body: block, force: [0, 1, 0]}]}"""
+    scene = scene_from_text(SLIDE.format(gravity=0, joint="", speed=SPEED, more=more))
+    plots = {title: plot for title, _, plot in make_plots(analysed(tmp_path / "a.mcap", scene), ["signals"])}
+    assert [title for title in plots if title.startswith("Law")] == ["Law feed"]
+    curves = {trace["name"]: np.array(trace["y"]) for trace in plots["Law feed"]["data"]}
+    times = np.array(plots["Law feed"]["data"][0]["x"])
+    assert [*curves] == ["wave", "rate"] and plots["Law feed"]["pick"] == "Signals"
+    assert curves["wave"] == pytest.approx(0.3 * np.sin(2.0 * times), abs=1e-5)
+    v = SPEED * np.exp(-2.0 / MASS * times)
+    assert curves["rate"] == pytest.approx(v - 0.3 * np.sin(2.0 * times), abs=1e-5)
+    assert plots["Joint forces"]["data"][0]["y"] == pytest.approx((-2.0 * v).tolist(), abs=1e-4)
 
 
 @pytest.mark.turn(3)

@@ -78,6 +78,41 @@ def test_resimulation_is_bit_identical_with_every_method(ros_node, tmp_path, met
     assert pushed.count("top") > 3 and "box" in pushed
 
 
+LAWS = """
+forces:
+  - name: motor
+    type: law
+    inputs: {wz: top.wz, x: {quantity: top.x, point: [0, 0, 0.5]}}
+    tables: {torque: {x: [0, 20, 40], y: [0.3, 0.2, -0.1]}}
+    signals: {wave: 0.2*sin(30*t)}
+    outputs: [{body: top, torque: [0, 0, torque(wz) + wave]}]
+  - {name: spring, type: law, inputs: {wave: motor.wave, x: {quantity: top.x, point: [0, 0, 0.5]}},
+     outputs: [{body: top, force: ["clip(-20*x + wave, -3, 3)", 0, 0], point: [0, 0, 0.5], axes: world}]}
+"""
+
+
+@pytest.mark.parametrize("given", [{"accuracy": 1e-6}, {"method": "radau5", "step": STEP}], ids=["accuracy", "radau5"])
+def test_resimulation_of_laws_is_bit_identical(ros_node, tmp_path, given):
+    """Laws of the time, of signals of other laws and of a table, with wrenches, single steps and a reset."""
+    path = tmp_path / "run.mcap"
+    rates = dict.fromkeys(RATES, 0.0) | {"publish_rate": 100.0, "record": path, "real_time_factor": 0.0}
+    with Run(ros_node, Simulation(scene_from_text(TOP + LAWS), **given), **rates) as run:
+        run.pass_time(0.1)
+        run.push("top", (0.3, 0, 0.1, 0, 2.0, 0), 0.0303)
+        run.pass_time(0.1)
+        run.call("pause")
+        run.call("step", 7)
+        run.call("resume")
+        run.push("top", (0, 0.2, 0, 0, 0, 1.0), None, "lasting", "world", 0.0130002)
+        run.pass_time(0.2)
+        run.call("reset")
+        run.push("top", (0, 0, 0.1, 0, 0, 0), 0.01)
+        run.pass_time(0.1)
+    figures = resimulate(read_recording(path))
+    assert figures["identical"] == figures["samples"] > 30 and figures["must_be_equal"]
+    assert figures["resets"] == 1 and figures["missing_samples"] == 0
+
+
 def test_a_flipped_bit_fails_and_a_changed_setting_is_compared(tmp_path, capsys):
     """One flipped bit gives exit code 1; another step size gives a difference with a limit."""
 
