@@ -29,6 +29,7 @@ from liegroup_core.errors import SceneError
 
 # Squares and products of three numbers of this size still fit into a float (1.8e308).
 LARGEST_NUMBER = 1e100
+QUOTE = "between braces or brackets, quote a text that has a comma"
 
 # Four components rounded to three digits have errors up to 5e-4, their norm at most 1e-3.
 QUATERNION_NORM_TOLERANCE = 1e-3
@@ -295,22 +296,19 @@ def _refusal(cls, errors, values):
     """SceneError for the first of pydantic's errors."""
     first = errors[0]
     cause = first.get("ctx", {}).get("error")
-    path = place_text(first["loc"], values)
+    is_key = first["loc"][-1:] == ("[key]",)  # after the key itself
+    loc = first["loc"][:-1] if is_key else first["loc"]
+    path = place_text(loc[:-1], values) + ": a key" if is_key else place_text(loc, values)
     if isinstance(cause, SceneError):  # a whole sentence; its place is relative to `loc`
-        place = first["loc"] + (cause.place or ())
+        place = loc + (cause.place or ())
         path = path if path.endswith(":") or not path else f"{path}:"
         message = f"{path} {cause}".strip()
     else:
-        place = first["loc"]
-        rule = (
-            str(cause)
-            if cause
-            else (
-                f"must be {first['ctx']['expected']}"
-                if first["type"] == "literal_error"
-                else f"is refused: {first['msg']}"
-            )
-        )
+        place = loc
+        rules = {"dict_type": "must be a mapping {name: value}"}
+        if first["type"] == "literal_error":
+            rules["literal_error"] = f"must be {first['ctx']['expected']}"
+        rule = str(cause) if cause else rules.get(first["type"], f"is refused: {first['msg']}")
         message = f"{path} {rule}, got {shown(first['input'])}".strip()
     if cls.__name__ not in ("Scene", "RobotFile"):
         name = values.get("name")
@@ -349,7 +347,8 @@ class Described(BaseModel, metaclass=_Refusing):
             raise ValueError(f"must be a mapping with the keys {', '.join(cls.model_fields)}")
         for key in data:
             if key not in cls.model_fields:
-                hint = suggestion(key, list(cls.model_fields))
+                torn = str(key).count(")") > str(key).count("(")  # between braces a comma begins a key
+                hint = QUOTE if torn else suggestion(key, list(cls.model_fields))
                 raise SceneError(f"unknown key {shown(key)}; {hint}", place=(key,))
         for key, field in cls.model_fields.items():
             if field.is_required() and key not in data:

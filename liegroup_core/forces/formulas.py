@@ -20,7 +20,7 @@ import warnings
 import numpy as np
 
 from liegroup_core.compiling import kernel
-from liegroup_core.fields.values import LARGEST_NUMBER, suggestion
+from liegroup_core.fields.values import LARGEST_NUMBER, QUOTE, suggestion
 
 (
     ADD,
@@ -145,7 +145,8 @@ def tree(text):
             return ast.parse(text if isinstance(text, str) else repr(text), mode="eval").body
     except (SyntaxError, ValueError, MemoryError, RecursionError) as error:
         reason = error.msg if isinstance(error, SyntaxError) else "too deep or not a text"
-        raise FormulaError(f"{text!r:.60} is no formula: {reason}") from None
+        hint = f"; {QUOTE}" if "never closed" in reason else ""
+        raise FormulaError(f"{text!r:.60} is no formula: {reason}{hint}") from None
 
 
 def names_in(text):

@@ -13,7 +13,7 @@ import re
 import yaml
 
 from liegroup_core.errors import SceneError
-from liegroup_core.fields.values import shown
+from liegroup_core.fields.values import QUOTE, shown
 
 from .description import Scene
 
@@ -62,7 +62,7 @@ class YamlNode:
             self.value.append(part.value)
         elif self.key is None:
             if not isinstance(part.value, str):
-                raise _Refused(part.line, f"a key must be text, got {shown(part.value)}")
+                raise _Refused(part.line, f"a key must be text, got {shown(part.value)}; {QUOTE}")
             if part.value in self.parts:
                 raise _Refused(
                     part.line,

@@ -501,12 +501,30 @@ def test_laws_read_signals_of_earlier_laws_and_samples_show_them():
         ({"states": {"x": {"rate": "y"}}}, "states.x.rate: unknown name 'y'"),
         ({"states": {"x": {"start": 1}}}, "rate is missing"),
         ({"states": {"q": {"rate": "1"}}}, "q is also one of its inputs"),
+        ({"signals": ["e = q"]}, "signals must be a mapping {name: value}, got ['e = q']"),
+        ({"parameters": {"k-p": 1.0}}, "parameters: a key must be a name: a letter, then letters, digits or _"),
     ],
 )
 def test_a_wrong_law_is_refused_in_one_line(change, reason):
     with pytest.raises(SceneError) as refused:
         pendulum(at_hinge("q*w") | change)
     assert reason in str(refused.value) and "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    "signals, reason",
+    [
+        ("{e: clip(1, -1, 2)}", "a key must be text, got -1"),
+        ("{e: max(1, t)}", "signals.e: 'max(1' is no formula: '(' was never closed"),
+        ("{e: 1}, outputs: [{joint: hinge, effort: max(1, t)}]", "outputs[0]: unknown key 't)'"),
+    ],
+)
+def test_a_comma_without_quotes_is_named(signals, reason):
+    """YAML takes it as the end of the formula."""
+    with pytest.raises(SceneError) as refused:
+        scene_from_text(f"{PENDULUM}forces:\n- {{name: own, type: law, signals: {signals}}}\n", "test")
+    assert f"{reason}; between braces or brackets, quote a text that has a comma" in str(refused.value)
+    assert str(refused.value).startswith("test:10: ")
 
 
 def test_lqr_from_linearise_holds_a_cart_pole():
