@@ -15,7 +15,7 @@ TORQUE, FORCE, BODY, WORLD = range(4)  # outputs: effort of a joint, or wrench i
 _OF_BODY = {"": PLACE, "q": ATTITUDE, "w": SPIN, "v": SPEED}
 
 
-class Laws(NamedTuple):
+class LawLoads(NamedTuple):
     """All laws of a scene; values are the time, the inputs, the signals and the outputs."""
 
     read: np.ndarray  # (i, 4) what, number of the value, then parent and child, or body and component
@@ -92,7 +92,7 @@ def build_laws(scene, index, joints, frames, angles):
             for text in texts:
                 program.add(text, names, tables, count)
                 count += 1
-    return Laws(
+    return LawLoads(
         read=np.array(read, dtype=int).reshape(-1, 4),
         read_at=np.array(read_at, dtype=float).reshape(-1, 9),
         read_angle=np.array(read_angle, dtype=int),

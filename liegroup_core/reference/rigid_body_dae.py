@@ -26,7 +26,7 @@ import numpy as np
 from liegroup_core.compiling import kernel, subroutine
 
 from .equations import Equations, joint_equations
-from .laws import Laws, add_laws
+from .laws import LawLoads, add_laws
 from .loads import Loads, add_loads
 from .vectors import FRAME, cross, dot, place, plus, three, turned, turned_back
 
@@ -43,7 +43,7 @@ class System(NamedTuple):
     size: float  # m, characteristic length
     equations: Equations
     loads: Loads
-    laws: Laws
+    laws: LawLoads
 
 
 class Chosen(NamedTuple):

@@ -1,17 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""docs/how-to/control.md and reactions.md: their commands and their Python code run."""
+"""docs/how-to/control.md, reactions.md, laws.md and stops.md: their commands and their code run."""
 
 import re
 import shlex
 import signal
 from pathlib import Path
 
+import numpy as np
 import pandas
 import pytest
 from geometry_msgs.msg import WrenchStamped
 from node_process import NODE, NodeProcess, output_of, python
+from scipy.integrate import solve_ivp
 from sensor_msgs.msg import Imu, JointState
 
+from liegroup_core import Simulation
+from liegroup_core.scene.load import scene_from_text
 from liegroup_sim_ros.commands.main import main
 from liegroup_sim_ros.recording.read import read_recording
 
@@ -74,6 +78,47 @@ def test_the_commands_of_the_page_on_reactions_run(tmp_path, monkeypatch, capsys
     assert "Reaction forces" in Path("crank.html").read_text()
     loads = pandas.read_parquet("loads.parquet")
     assert (loads["largest.shaft.fx"] > 0.0).all() and "undetermined" in capsys.readouterr().out
+
+
+LAWS = (SOURCE / "docs" / "how-to" / "laws.md").read_text()
+
+
+def test_the_page_on_laws_runs(tmp_path, monkeypatch):
+    """Its commands run. Its forces, alone and together, move the pendulum as SciPy does: to the default accuracy."""
+    monkeypatch.chdir(tmp_path)
+    follower, bearing, ramp = re.findall(r"^```yaml\n(.*?)^```$", LAWS, re.MULTILINE | re.DOTALL)
+    Path("follower.yaml").write_text(follower)
+    (block,) = re.findall(r"^```sh\n(.*?)^```$", LAWS, re.MULTILINE | re.DOTALL)
+    for line in block.replace("\\\n", "").splitlines():
+        program, *arguments = shlex.split(line)
+        assert program == "liegroup_sim" and main(arguments) == 0, arguments
+    assert "Law pd" in Path("run.html").read_text()
+    assert pandas.read_parquet("gains.parquet")["pd.miss"].abs().between(0.001, 0.2).all()
+
+    def torques(t, q, w):
+        size = 0.3 + (0.5 - 0.3) * np.exp(-((w / 0.1) ** 2))
+        follows = np.clip(60 * (0.5 * np.sin(2 * t) - q) - 6 * w, -20, 20)
+        return follows, -size * np.tanh(w / 0.01) - 0.02 * w, np.clip(3 * (t - 1), 0, 3)
+
+    head, pd = follower.split("  - name: pd\n")
+    entries = "  - name: pd\n" + pd, bearing, ramp
+    for acting in ([0], [1], [2], [0, 1, 2]):
+        simulation = Simulation(scene_from_text(head + "".join(entries[k] for k in acting)), quiet=True)
+        simulation.advance_to(3.0)
+        found = solve_ivp(
+            lambda t, y, acting=acting: [
+                y[1],
+                (sum(torques(t, *y)[k] for k in acting) - 1.2 * 9.81 * 0.4 * np.sin(y[0])) / (0.1 + 1.2 * 0.4**2),
+            ],
+            (0.0, 3.0),
+            [0.0, 0.0],
+            "Radau",
+            rtol=1e-8,
+            atol=1e-10,
+            max_step=0.01,
+        )
+        assert simulation.sample().joint_coordinates["hinge"][0] == pytest.approx(found.y[0, -1], abs=1e-4)
+        assert acting == [1] or abs(found.y[0, -1]) > 0.01
 
 
 STOPS = (SOURCE / "docs" / "how-to" / "stops.md").read_text()

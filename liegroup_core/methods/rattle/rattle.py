@@ -14,7 +14,7 @@ Properties, shown by test/verification/test_constrained_geometric.py:
   * order 2 and symmetric: a step h followed by a step -h returns to the start, to machine
     precision. This includes velocity-dependent forces: the equation for V+ with Q+(V+) is solved
   * symplectic if all forces have a potential: the energy error is O(h^2) and does not drift. Other
-    symmetric maps are compared in docs/explanation/long_runs.md
+    symmetric maps are compared in benchmarks/turns.py
   * constraints and J V = 0 are satisfied to machine precision; momentum components that joints and
     forces do not change are conserved to machine precision
 Steps g_1 h, ..., g_k h with symmetric g, sum g = 1, compose a step of higher order with the same
