@@ -10,6 +10,7 @@ from .names import scene_name
 
 # {key of a force with a point: key of the link that the point is fixed to}
 POINTS = {"parent_point": "parent", "child_point": "child", "point": "body"}
+SAME_AXES = 1e-12  # of rotation matrices that differ by round-off
 
 
 def added_joints(options, grouping):
@@ -141,19 +142,26 @@ def added_forces(options, grouping, parts):
     """[keys of a force of a scene]: the added forces, with bodies for links and points in body frames."""
     links = {file: scene for (kind, scene), file in parts.names.items() if kind == "bodies"}
     joints = {file: scene for (kind, scene), file in parts.names.items() if kind == "joints"}
-    known = {joint.name for joint in grouping.robot.joints} - joints.keys()
+    still = {joint.name for joint in grouping.robot.joints} - joints.keys()
+
+    def joint_of(place, which, name):
+        if name in still:
+            raise options.error(place, f'{which}: joint "{name}" is fixed or locked')
+        if name not in joints:
+            raise options.unknown(place, f"{which}: joint", name, joints)
+        return joints[name]
+
     found = []
     for i, given in enumerate(options.forces):
         which, place = f'forces[{i}] "{given.name}"', ("forces", i)
+        if given.type == "law":
+            found.append(_law(options, grouping, place, which, given, links, joint_of))
+            continue
         _check_ends(options, grouping, place, which, given)
         keys = {"name", "type"} | given.model_fields_set
         entry = {key: getattr(given, key) for key in type(given).model_fields if key in keys}
         if "joint" in entry:
-            if given.joint in known:
-                raise options.error((*place, "joint"), f'{which}: joint "{given.joint}" is fixed or locked')
-            if given.joint not in joints:
-                raise options.unknown((*place, "joint"), f"{which}: joint", given.joint, joints)
-            entry["joint"] = joints[given.joint]
+            entry["joint"] = joint_of((*place, "joint"), which, given.joint)
         for key, end in POINTS.items():
             if hasattr(given, key):
                 pose = grouping.of_link[getattr(given, end)].places[getattr(given, end)]
@@ -172,3 +180,39 @@ def added_forces(options, grouping, parts):
                 entry |= dict(zip(ends, [entry[end] for end in reversed(ends)]))
         found.append(entry)
     return found
+
+
+def _law(options, grouping, place, which, given, links, joint_of):
+    """Keys of a law of a scene, with the joints and bodies of the scene in its inputs and outputs."""
+    entry = given.model_dump(exclude_unset=True) | {"type": "law"}
+
+    def at_link(place, which, name, point, in_its_axes):
+        """(body, point in its frame) of a point of a link."""
+        if name not in grouping.of_link:
+            raise options.unknown(place, which, name, grouping.of_link)
+        group = grouping.of_link[name]
+        if group is grouping.world:
+            raise options.error(place, f"{which} {name} does not move: choose another link")
+        pose, body = group.places[name], links[group.links[0]]
+        if in_its_axes and np.abs(pose[:3, :3] - np.eye(3)).max() > SAME_AXES:
+            raise options.error(place, f"{which} {name} is part of {body}, which has other axes: take {body}")
+        return body, pose[:3, :3] @ (np.zeros(3) if point is None else point) + pose[:3, 3]
+
+    for name, each in given.inputs.items():
+        owner, _, part = each.quantity.rpartition(".")
+        at = (*place, "inputs", name)
+        if part in ("position", "velocity"):
+            entry["inputs"][name]["quantity"] = f"{joint_of(at, which, owner)}.{part}"
+        elif part[:-1] in ("", "q", "w", "v") and part[-1:] in tuple("xyzw") and owner in grouping.of_link:
+            body, point = at_link(at, f"{which}: inputs.{name}: link", owner, each.point, part not in tuple("xyz"))
+            entry["inputs"][name] = {"quantity": f"{body}.{part}"}
+            if part[:-1] in ("", "v"):
+                entry["inputs"][name]["point"] = point
+    for k, each in enumerate(given.outputs):
+        at = (*place, "outputs", k)
+        if each.body is None:
+            entry["outputs"][k]["joint"] = joint_of((*at, "joint"), which, each.joint)
+        else:
+            body, point = at_link((*at, "body"), f"{which}: body", each.body, each.point, each.axes == "body")
+            entry["outputs"][k].update(body=body, point=point)
+    return entry

@@ -508,6 +508,47 @@ def test_a_yaml_file_closes_a_loop_and_adds_a_spring(tmp_path):
     assert np.isfinite(start) and simulation.sample().constraint_residual < 1e-6
 
 
+def test_laws_beside_a_robot_name_its_links_and_joints(tmp_path):
+    """A force at the tool, which is merged into the slide, against the same applied wrench; a point of the tool."""
+    arm_in(tmp_path, "urdf")
+    path = tmp_path / "laws.yaml"
+    law = (
+        "robot: arm.urdf\nforces:\n  - name: own\n    type: law\n"
+        "    inputs: {{z: {{quantity: {z}, point: [0.1, 0, 0.2]}}, q: {q}}}\n    signals: {{high: z, far: q}}\n"
+        "    outputs: [{{body: tool, force: [1, 2*q/q, 3], point: [0.3, 0.1, 0], axes: {axes}}}]\n"
+    )
+    found = []
+    for text in (
+        law.format(z="tool.z", q="extend.position", axes="world"),
+        "robot: arm.urdf\nforces:\n"
+        "  - {name: push, type: applied_wrench, body: tool, force: [1, 2, 3], point: [0.3, 0.1, 0], axes: world}\n",
+    ):
+        path.write_text(text + "start: {extend: 0.2}\n")
+        simulation = Simulation(load_scene(path), "rkmk8", 1e-3)
+        simulation.advance(100)
+        found.append(simulation.sample())
+    sample, pushed = found
+    for body, pose in sample.poses.items():
+        assert pose == pytest.approx(pushed.poses[body], abs=1e-12)
+    flange = np.eye(4)
+    flange[:3, :3], flange[:3, 3] = rotation(0, 0.7, 0), (0, 0.1, 0)
+    tool = sample.poses["slide"] @ flange
+    assert sample.signals["own.high"] == pytest.approx((tool @ (0.1, 0, 0.2, 1))[2], abs=1e-12)
+    assert sample.signals["own.far"] == sample.joint_coordinates["extend"][0]
+    for keys, line, expected in (
+        ({"z": "tool.vz"}, 5, "inputs.z: link tool is part of slide, which has other axes: take slide"),
+        ({"z": "base.z"}, 5, "inputs.z: link base does not move"),
+        ({"q": "flange.position"}, 5, 'joint "flange" is fixed or locked'),
+        ({"q": "extent.velocity"}, 5, "'extent' is not in the robot; did you mean \"extend\""),
+        ({"axes": "body"}, 7, "body tool is part of slide, which has other axes"),
+    ):
+        path.write_text(law.format(**{"z": "tool.z", "q": "extend.position", "axes": "world"} | keys))
+        with pytest.raises(SceneError) as caught:
+            load_scene(path)
+        message = str(caught.value)
+        assert message.startswith(f"{path}:{line}: ") and expected in message, message
+
+
 def test_errors_beside_a_robot_have_the_line_of_their_file(tmp_path):
     (tmp_path / "five_bar.urdf").write_text(five_bar_urdf())
     path = tmp_path / "closed.yaml"
