@@ -201,14 +201,12 @@ class Probe:
 
     def _meet(self, other):
         """Take the time, modes and angles of a Probe of a scene with other numbers."""
-        engine, work = self._engine, self._work
         if self.layout.switches:
             self.modes = other.modes
         if self.base.time_ns != other.base.time_ns:
             self.base = other.base
-            if engine.inputs.schedule:
-                self._take_inputs()
-        work.angle[:] = other._work.angle
+            self._take_inputs()
+        self._work.angle[:] = other._work.angle
 
     def follow(self, other):
         """Take time, modes and the joints' coordinates and rates of a Probe of a scene with other numbers."""

@@ -563,10 +563,15 @@ joints:
     assert np.linalg.eigvals(open_loop.A).real.max() > 1.0
 
 
-def test_parameters_of_a_law_have_sensitivities():
-    """d q(1) / d kp against differences of SciPy's solutions."""
-    law = at_hinge("-kp*q - kd*w", parameters={"kp": 6.0, "kd": 0.4})
+@pytest.mark.parametrize("drive", ["0", "kp*sin(2*t)"])
+def test_parameters_of_a_law_have_sensitivities(drive):
+    """d q(1) / d kp against differences of SciPy's solutions, also of a law that is zero at the start."""
+    law = at_hinge(f"{drive} - kp*q - kd*w", parameters={"kp": 6.0, "kd": 0.4})
     found = sensitivities(pendulum(law), ["own.parameters.kp"], [1.0], ["hinge.position"])
-    ends = [expected(lambda t, q, w, k=k: -k * q - 0.4 * w, 1.0)[0] for k in (6.0 - 1e-3, 6.0 + 1e-3)]
+    driven = float(drive != "0")
+    ends = [
+        expected(lambda t, q, w, k=k: driven * k * np.sin(2 * t) - k * q - 0.4 * w, 1.0)[0]
+        for k in (6.0 - 1e-3, 6.0 + 1e-3)
+    ]
     slope = (ends[1] - ends[0]) / 2e-3  # error below 1e-3^2 of the third derivative
     assert found.derivatives.item() == pytest.approx(slope, rel=1e-5)
