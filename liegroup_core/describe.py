@@ -102,12 +102,8 @@ def describe(layout):
             for entry, found in zip(scene.couplings, coupled)
         ],
         "forces": [
-            {
-                "name": force.name,
-                "type": force.type,
-                "on": _acts_on(force),
-                "signals": list(getattr(force, "signals", ())),
-            }
+            {"name": force.name, "type": force.type, "on": _acts_on(force)}
+            | ({"signals": [*force.states, *force.signals]} if force.type == "law" else {})
             for force in scene.forces
         ],
         "sensors": [{"name": sensor.name, "type": sensor.type, "on": _acts_on(sensor)} for sensor in scene.sensors],

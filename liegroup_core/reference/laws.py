@@ -16,7 +16,7 @@ _OF_BODY = {"": PLACE, "q": ATTITUDE, "w": SPIN, "v": SPEED}
 
 
 class LawLoads(NamedTuple):
-    """All laws of a scene; values are the time, the inputs, the signals and the outputs."""
+    """All laws of a scene; values are the time, the inputs, the states and their rates, the signals and the outputs."""
 
     read: np.ndarray  # (i, 4) what, number of the value, then parent and child, or body and component
     read_at: np.ndarray  # (i, 9) axis in the parent's axes, origins of the joint frames in m; or point of the body, m
@@ -27,6 +27,8 @@ class LawLoads(NamedTuple):
     points: np.ndarray  # (q, 2) their points
     acts: np.ndarray  # (o, 4) what, number of the first of its 1 or 6 values, parent or body, child
     acts_at: np.ndarray  # (o, 9) as read_at
+    states: np.ndarray  # (s, 2) numbers of the values of a state and of its rate
+    scales: np.ndarray  # (s,) magnitudes of the states
     sizes: np.ndarray  # (2,) numbers of values and of places of the stack
 
 
@@ -44,7 +46,7 @@ def angles_of(scene, joints):
 
 def build_laws(scene, index, joints, frames, angles):
     """Laws of a scene whose body frames are at the centres of mass; angles : {joint: index of its angle}."""
-    program, count, signals = Postfix(), 1, {}
+    program, count, signals, states = Postfix(), 1, {}, []
     read, read_at, read_angle, acts, acts_at = [], [], [], [], []
 
     def geometry(name):
@@ -72,6 +74,10 @@ def build_laws(scene, index, joints, frames, angles):
             read_at.append(at)
             read_angle.append(angle)
             count += 1
+        for name in law.states:
+            names[name] = signals[f"{law.name}.{name}"] = count
+            states.append((count, count + 1))
+            count += 2
         tables = {}
         for name, table in law.tables.items():
             tables[name] = len(program.tables)
@@ -80,6 +86,8 @@ def build_laws(scene, index, joints, frames, angles):
             program.add(text, names, tables, count)
             names[name] = signals[f"{law.name}.{name}"] = count
             count += 1
+        for name, each in law.states.items():
+            program.add(each.rate, names, tables, names[name] + 1)
         for each in law.outputs:
             if each.body is None:
                 what, texts = TORQUE if joints[each.joint].type != "prismatic" else FORCE, [each.effort]
@@ -102,6 +110,8 @@ def build_laws(scene, index, joints, frames, angles):
         points=np.concatenate([np.empty((0, 2)), *program.tables]),
         acts=np.array(acts, dtype=int).reshape(-1, 4),
         acts_at=np.array(acts_at, dtype=float).reshape(-1, 9),
+        states=np.array(states, dtype=int).reshape(-1, 2),
+        scales=np.array([each.scale for law in laws_of(scene) for each in law.states.values()], dtype=float),
         sizes=np.array([count, program.deepest]),
     )
 
@@ -129,17 +139,23 @@ def _input(laws, i, state, frame, angle):
 
 
 @subroutine
-def add_laws(laws, time, state, frame, angle, stack, values, force):
-    """Add the forces of all laws at one state; see loads.add_loads.
+def add_laws(laws, time, state, frame, angle, stack, values, force, rate_out):
+    """Add the forces of all laws at one state, and write the rates of their states; see loads.add_loads.
 
     state : (n, 13), see vectors.place;  stack, values : scratch memory of the sizes of the laws
+    angle, rate_out : the states and their rates are the last of them
     """
-    if len(laws.acts) == 0:
+    if len(laws.acts) == 0 and len(laws.states) == 0:
         return
     values[0] = time
+    first = len(angle) - len(laws.states)
+    for s in range(len(laws.states)):
+        values[laws.states[s, 0]] = angle[first + s]
     for i in range(len(laws.read)):
         values[laws.read[i, 1]] = _input(laws, i, state, frame, angle)
     evaluate(laws.code, laws.numbers, laws.first, laws.points, stack, values)
+    for s in range(len(laws.states)):
+        rate_out[first + s] = values[laws.states[s, 1]]
     for i in range(len(laws.acts)):
         what, k, a, b, at = (
             laws.acts[i, 0],

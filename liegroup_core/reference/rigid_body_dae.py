@@ -10,7 +10,7 @@ It shares only the Scene with the engine. It uses
 
 The state of one body is 13 numbers,
     quaternion (w, x, y, z)   position r   velocity v = rdot, world axes   omega, body axes
-The angles of the joints that need one follow after all bodies. With independent joint equations
+The angles of the joints that need one and the states of laws follow after all bodies. With independent joint equations
 differentiated twice, A a = b, the accelerations a of all bodies and the multipliers are
     M a = f + A^T lambda ,   (A M^-1 A^T + C) lambda = b - A M^-1 f
 (Haug, Computer Aided Kinematics and Dynamics of Mechanical Systems, 1989, section 11.3), solved by Cholesky
@@ -163,7 +163,7 @@ def rates(system, chosen, times, given, states, wrench, out):
         force[:] = 0.0
         place(state, frame)
         add_loads(system.loads, system.mass, frame, angle, wrench, force, out[p, turns:])
-        add_laws(system.laws, times[p], state, frame, angle, stack, values, force)
+        add_laws(system.laws, times[p], state, frame, angle, stack, values, force, out[p, turns:])
         for i in range(n):
             omega = three(state, i, 10)
             torque = turned_back(frame, i, three(force, i, 3))

@@ -8,7 +8,7 @@ from liegroup_core.scene.consistency import resolve_frames
 from liegroup_core.scene.massless import lack_of_inertia
 
 from .equations import ANGLE, DISTANCE, JOINTS, LEVEL, Equations, X
-from .laws import angles_of, build_laws
+from .laws import angles_of, build_laws, laws_of
 from .loads import Loads
 from .rigid_body_dae import System
 
@@ -23,8 +23,9 @@ def build_system(scene, pose, angles=None):
     """Arrays of a scene with body frames at the centres of mass.
 
     pose   : (n, 12) R row by row (body -> world), then r in m, at the start of the integration
-    angles : (u,) rad, those of `scene.unwrapped` at that pose; None: in (-pi, pi]
-    returns (System, angles (t,) rad at that pose, of the joints that need an angle)
+    angles : (u,) rad, those of `scene.unwrapped` at that pose, then the states of laws; None: angles in (-pi, pi],
+             states at their start
+    returns (System, (t,) angles in rad at that pose, of the joints that need one, then states)
     Raises SimulationError for a joint or force without equations here.
     """
     index = {body.name: i for i, body in enumerate(scene.bodies)} | {"world": len(scene.bodies)}
@@ -69,7 +70,10 @@ def build_system(scene, pose, angles=None):
         loads=_loads(scene, index, frames, turns, slides),
         laws=build_laws(scene, index, joints, frames, read_angles),
     )
-    return system, start
+    states = [each.start for law in laws_of(scene) for each in law.states.values()]
+    if angles is not None and len(angles) > len(scene.unwrapped):
+        states = angles[len(scene.unwrapped) :]
+    return system, np.append(start, states)
 
 
 def _relative(scene, frames, start):

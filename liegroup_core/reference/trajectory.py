@@ -124,7 +124,7 @@ class Reference:
     """Integration as by `integrate`, continued from one call of `at` to the next.
 
     end    : s, last time that can be requested
-    angles : (u,) rad, those of `Scene.unwrapped` at `start`; None: in (-pi, pi]
+    angles : (u,) rad, those of `Scene.unwrapped` at `start`, then states of laws; None: in (-pi, pi], and their starts
     most_steps : limit of the steps of each of the two integrations
     The other arguments are those of `integrate`.
 
@@ -410,6 +410,7 @@ class _Run:
         rate = max(rate, np.sqrt(max(change[:, 7:10].max() / size, change[:, 10:13].max())))
         scale[:, 4:7] = size + np.abs(bodies[:, 4:7])
         scale[:, 7:10], scale[:, 10:13] = size * rate, rate
+        out[len(out) - len(self._system.laws.scales) :] = self._system.laws.scales
         out[STATE * n :] += np.abs(state[STATE * n :])
         return out
 

@@ -242,7 +242,7 @@ class Scene(Described):
         for key, i, link in links:
             if link.type == "law":
                 refuse_law(link, bodies, moves, signals, i)
-                signals += [f"{link.name}.{signal}" for signal in link.signals]
+                signals += [f"{link.name}.{name}" for name in (*link.states, *link.signals)]
             elif hasattr(link, "joint"):
                 refuse_joint(link, kinds, i)
             elif hasattr(link, "body"):

@@ -169,7 +169,7 @@ def sections(facts):
 
 
 def _force_row(force):
-    """Row of a force: its ends, or what a law acts on and its signals."""
+    """Row of a force: its ends, or what a law acts on, its states and signals."""
     if force["type"] != "law":
         return force["name"], force["type"], " - ".join(force["on"])
     parts = [("on", force["on"]), ("signals", force["signals"])]

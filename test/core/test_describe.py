@@ -138,15 +138,16 @@ def test_a_law_names_what_it_acts_on_and_its_signals():
     text = """
 {name: s, gravity: [0, 0, 0], bodies: [{name: b, mass: 1, inertia: [1, 1, 1]}], joints: [{name: j, type: revolute,
 parent: world, child: b, child_frame: {}}], forces: [{name: own, type: law, signals: {f: sin(t), g: 2*f}, outputs: [
-{joint: j, effort: f}, {body: b, force: [g, 0, 0]}, {joint: j, effort: 1}]}, {name: plan, type: law, signals: {h: t}}]}
+{joint: j, effort: f}, {body: b, force: [g, 0, 0]}, {joint: j, effort: 1}]}, {name: plan, type: law, signals: {h: t},
+states: {x: {rate: h}}}]}
 """
     facts = describe(make_layout(scene_from_text(text)))
     assert facts["forces"] == [
         {"name": "own", "type": "law", "on": ["j", "b"], "signals": ["f", "g"]},
-        {"name": "plan", "type": "law", "on": [], "signals": ["h"]},
+        {"name": "plan", "type": "law", "on": [], "signals": ["x", "h"]},
     ]
     (rows,) = [rows for title, rows in sections(facts | {"cost": {}}) if title == "Forces"]
-    assert rows == [("own", "law", "on j, b; signals f, g"), ("plan", "law", "signals h")]
+    assert rows == [("own", "law", "on j, b; signals f, g"), ("plan", "law", "signals x, h")]
 
 
 def test_a_loop_names_its_redundant_constraint_row():

@@ -116,18 +116,19 @@ law:
     inputs: {q: j2.position, w: j2.velocity, p: j4.position, u: j4.velocity, a: j7.position, b: j7.velocity}
     parameters: {k: 4, c: 0.3}
     tables: {cog: {x: [-60, 0.2, 90], y: [1, -2, 3]}}
+    states: {i: {rate: lag - 3*p, start: 0.4}, lag: {rate: 9*(e - lag), start: -1, scale: 2}}
     signals: {e: "k*sin(3*t + q) - c*w if -9 < q <= 9 or w > 90 else cog(q)", f: "cog(a + 40)*b**2"}
     outputs:
       - {joint: j2, effort: "clip(e, -k, 9) - log(2 + q**2)"}
-      - {joint: j4, effort: "20*(0.3 - p) - 3*u*abs(w) + 5*exp(-t)*cos(20*t)"}
+      - {joint: j4, effort: "20*(0.3 - p) + 9*i - 3*u*abs(w) + 5*exp(-t)*cos(20*t)"}
       - {joint: j7, effort: "3*tanh(5*a - 3*b) + max(f, -8, e - 90)"}
   - name: t
-    inputs: {e: s.e, x: {quantity: a.x, point: [0.3, 0.1, 0]}, z: h.z, i: a.qx, j: g.qy, k: h.qw, l: b.qz, m: c.wy,
-      n: {quantity: h.vz, point: [0.3, 1, 2]}}
+    inputs: {e: s.e, lag: s.lag, x: {quantity: a.x, point: [0.3, 0.1, 0]}, z: h.z, i: a.qx, j: g.qy, k: h.qw, l: b.qz,
+      m: c.wy, n: {quantity: h.vz, point: [0.3, 1, 2]}}
     outputs:
       - {body: a, force: [9*i + 1, "atan2(x, 2 + z)*e", x**3], torque: [j, "asin(0.9*sin(z))", "sqrt(1 + z*z)"],
          point: [1, 0.2, 3]}
-      - {body: h, force: [e*k, acos(0.4*j), -n], torque: ["min(m, 90)", "2**(l/9)", "tan(i/3) + atan(x)"],
+      - {body: h, force: [lag*k, acos(0.4*j), -n], torque: ["min(m, 90)", "2**(l/9)", "tan(i/3) + atan(x)"],
          point: [0.1, 0, -1], axes: world}
 applied_wrench:
   - {name: s, body: a, torque: [1, 2, 3], force: [4, 5, -6], point: [1, 0.2, 3], start: 0.0303, end: 0.0811}
