@@ -4,7 +4,7 @@
 from typing import NamedTuple, get_args
 
 from liegroup_core.fields.frames import Frame
-from liegroup_core.forces.law import LawInput, LawOutput, LawTable
+from liegroup_core.forces.law import LawInput, LawOutput, LawState, LawTable
 from liegroup_core.joints.coupling import Coupling
 from liegroup_core.joints.motion import Motion
 from liegroup_core.joints.rotor import Rotor
@@ -32,6 +32,7 @@ PARTS = {
     "forces": FORCES,
     "input of a law": (LawInput,),
     "table of a law": (LawTable,),
+    "state of a law": (LawState,),
     "output of a law": (LawOutput,),
     "sensors": SENSORS,
     "drive": (Drive,),
