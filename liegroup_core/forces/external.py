@@ -44,7 +44,7 @@ def no_wrenches(offsets):
 
 
 def set_wrench(external, body, wrench, axes):
-    """Set the total in one of the axes of Schedule.total of a body: "body", "world" (6,), "levers" (9,), "pull" (12,)."""
+    """Set the total of a body in one of the axes of Schedule.total: body, world (6,), levers (9,) or pull (12,)."""
     if axes == "pull":
         external[body, PULL] = float(any(wrench))
         external[body, PULL + 1 :] = wrench
