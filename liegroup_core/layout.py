@@ -15,7 +15,7 @@ from liegroup_core.forces.acting import Acting
 from liegroup_core.forces.applied_wrench import wrenches_of
 from liegroup_core.forces.commands import MOTION, SCENE, Command
 from liegroup_core.forces.joint_effort import unit_wrenches
-from liegroup_core.forces.law import laws_of, signals_of
+from liegroup_core.forces.law import laws_of, signals_of, states_of
 from liegroup_core.joints.coupling import COUPLED
 from liegroup_core.joints.kinds import ROLLING
 from liegroup_core.joints.limits import limits_of
@@ -267,6 +267,11 @@ class Layout:
     def signals(self):
         """{LAW.SIGNAL: its register} of the laws of the scene."""
         return signals_of(self.scene.forces)
+
+    @cached_property
+    def states(self):
+        """Names of the states of laws, LAW.STATE, in the order of `angles`."""
+        return tuple(name for name, _ in states_of(self.scene.forces))
 
     @cached_property
     def law_efforts(self):

@@ -29,7 +29,11 @@ class AlongStretches:
         if block.stretch is not self._stretch:
             self._stretch = block.stretch
             self._along.restart(self.starts.of(block.stretch)[2])
-        return self._along.of(block.pose, block.twist)
+        found = self._along.of(block.pose, block.twist)
+        if block.laws is not None:
+            angles = found[3]
+            angles[:, angles.shape[1] - block.laws.shape[1] :] = block.laws[:, :, 0]
+        return found
 
 
 class ActingInputs:

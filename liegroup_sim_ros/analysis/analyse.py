@@ -13,6 +13,7 @@ import numpy as np
 
 from liegroup_core import SimulationError
 from liegroup_core.forces.commands import EFFORT
+from liegroup_core.forces.kinds import count
 from liegroup_core.layout import make_layout
 from liegroup_core.scene.load import scene_from_text
 from liegroup_sim_ros.numbers import counted
@@ -140,7 +141,7 @@ class _Parts:
         expected = motion.expected
         self._along = AlongStretches(recording, layout)
         angles = self._along.starts.of(motion.first)[2]
-        if angles is not None and len(angles) != len(layout.model.forces.counted):
+        if angles is not None and len(angles) != count(layout.model.forces):
             raise RecordingError(
                 f"{recording.path}: the number of its torsional springs does not match the "
                 f"{counted(len(angles), 'angle')} of its initial state"

@@ -8,7 +8,7 @@ in samples.py and markers.py.
 
 from typing import NamedTuple
 
-from . import arrays, description, diagnostics, estimates, inputs, joint_modes, matrices
+from . import arrays, description, diagnostics, estimates, inputs, joint_modes, law_states, matrices
 from .codecs import ClockCodec, LogCodec, PoseStampedCodec, TwistStampedCodec
 from .commands import ARRAY, JOINT_STATE
 
@@ -79,4 +79,5 @@ DESCRIPTION = Topic("~/robot_description", description.TYPE, "transient_local", 
 CLOCK = Topic("/clock", ClockCodec.TYPE, depth=1)
 STATE = Topic("~/state", diagnostics.TYPE)
 ERRORS = Topic("~/errors", estimates.TYPE)  # with the samples, if there is an estimate
+LAWS = Topic("~/laws", law_states.TYPE)  # with the samples, if laws have states
 DIAGNOSTICS = Topic("/diagnostics", diagnostics.TYPE)

@@ -33,6 +33,8 @@ def at_start(simulation, node, world_frame, sample_steps, topics, stamp_ns=0, **
     more         : further entries of settings.json, JSON types
     """
     described = settings(simulation, sample_steps) | {"node": node, "world_frame": world_frame, "topics": topics} | more
+    if simulation.layout.states:
+        described["laws"] = list(simulation.layout.states)
     return {
         "scene.yaml": ("application/yaml", simulation.scene.text.encode()),
         "settings.json": as_json(described),

@@ -188,6 +188,7 @@ class Block(NamedTuple):
     quaternion: np.ndarray  # (k, n, 4) as recorded
     twist: np.ndarray  # (k, n, 6) rad/s, m/s; body axes
     errors: np.ndarray | None  # (k, n, 4) estimated; NaN: unknown, None: no estimate
+    laws: np.ndarray | None = None  # (k, s, 1) states of laws; None: there are none
 
     @property
     def times(self):
@@ -401,7 +402,8 @@ class RecordedMotion:
                 raise RecordingError(f"{self._recording.path}: its stamps do not lie on steps of {stretch.step:g} s")
             steps = np.where(off, since / unit, steps)
         self._count(stretch, steps)
-        position, quaternion, twist, errors = (values if values is None else values[part] for values in samples[1:])
+        given = (values if values is None else values[part] for values in samples[1:])
+        position, quaternion, twist, errors, laws = given
         norm = np.linalg.norm(quaternion, axis=2)
         finite = (
             np.isfinite(position).all(axis=(1, 2))
@@ -416,7 +418,7 @@ class RecordedMotion:
                 return None
             steps, position = steps[finite], position[finite]
             quaternion, twist = quaternion[finite], twist[finite]
-            errors = errors if errors is None else errors[finite]
+            errors, laws = (each if each is None else each[finite] for each in (errors, laws))
         if not stretch.samples:
             self.stretches.append(stretch)
             stretch.first_step = steps[0].item()
@@ -424,7 +426,7 @@ class RecordedMotion:
         stretch.last_step = steps[-1].item()
         turn = scipy.spatial.transform.Rotation.from_quat(quaternion.reshape(-1, 4)).as_matrix()
         rotation = turn.reshape(*position.shape[:2], 3, 3)
-        return Block(stretch, steps, rotation, position, quaternion, twist, errors)
+        return Block(stretch, steps, rotation, position, quaternion, twist, errors, laws)
 
     def _count(self, stretch, steps):
         """Count samples, and missing ones on the grid between them."""

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from liegroup_core.joints.motion import COLUMNS
-from liegroup_sim_ros.messages import arrays, estimates, joint_modes, matrices
+from liegroup_sim_ros.messages import arrays, estimates, joint_modes, law_states, matrices
 from liegroup_sim_ros.messages.codecs import PoseStampedCodec, TwistStampedCodec, WrenchStampedCodec
 from liegroup_sim_ros.messages.commands import JOINT_STATE, JointStateDecoder
 
@@ -46,12 +46,14 @@ IMPULSE = "/impulse"  # ending of the topics of impulses at impacts
 OF_BODY = "_reaction"  # before these endings, if the joint has the name of a body
 # Numbers in a piece of `samples`, and the largest offset between two topics of a file in samples.
 PIECE, MOST_APART = 200_000, 100_000
-NUMBERS = {"pose": 7, "twist": 6, "errors": 4}  # of one body
+NUMBERS = {"pose": 7, "twist": 6, "errors": 4, "laws": 1}  # of one body, or state of a law
+OF_ALL = ("errors", "laws")  # kinds with one message for all
 # Decoders of messages about several bodies: (rows, names, world frame) -> numbers.
 SEVERAL = {
     ("pose", arrays.TYPE): arrays.decode_poses,
     ("twist", matrices.TYPE): arrays.decode_twists,
     ("errors", matrices.TYPE): estimates.decode_rows,
+    ("laws", law_states.TYPE): law_states.decode_rows,
 }
 
 
@@ -121,10 +123,10 @@ class Recording:
             at = slice(done[topic], done[topic] + len(stamps))
             tracks[topic][0][at], tracks[topic][1][at] = stamps, values
             done[topic] += len(stamps)
-        result = {"pose": {}, "twist": {}, "errors": {}}
+        result = {"pose": {}, "twist": {}, "errors": {}, "laws": {}}
         for topic, (kind, index) in wanted.items():
             stamps, values = tracks[topic]
-            parts = {None: values} if kind == "errors" else {self.bodies[i]: values[:, k] for k, i in enumerate(index)}
+            parts = {None: values} if kind in OF_ALL else {self.bodies[i]: values[:, k] for k, i in enumerate(index)}
             result[kind] |= {body: (stamps, part) for body, part in parts.items()}
         return result
 
@@ -199,7 +201,7 @@ class Recording:
             else (np.empty(0, dtype=np.int64), np.empty((0, *_shape(*wanted[topic]))))
             for topic, (stamps, values) in waiting.items()
         }
-        motion = [stamps for topic, (stamps, _) in tracks.items() if wanted[topic][0] != "errors"]
+        motion = [stamps for topic, (stamps, _) in tracks.items() if wanted[topic][0] not in OF_ALL]
         if not all(map(len, motion)):
             return
         upto = min(int(s[-1]) for s in (motion if ended else [s for s, _ in tracks.values()]))
@@ -208,19 +210,19 @@ class Recording:
             ready = stamps[: np.searchsorted(stamps, upto, "right")]
             if common is None or not np.array_equal(common, ready):
                 common = ready if common is None else np.intersect1d(common, ready, True)
-        k, n = len(common), len(self.bodies)
+        k, n, of = len(common), len(self.bodies), {each[0]: each for each in wanted.values()}
         samples = Samples(
             common,
             np.empty((k, n, 3)),
             np.empty((k, n, 4)),
             np.empty((k, n, 6)),
-            np.full((k, n, 4), np.nan) if len(tracks) > len(motion) else None,
+            *(np.full((k, *_shape(*of[kind])), np.nan) if kind in of else None for kind in OF_ALL),
         )
         for topic, (kind, index) in wanted.items():
             stamps, values = tracks[topic]
-            if kind == "errors":
+            if kind in OF_ALL:
                 _, rows, places = np.intersect1d(stamps, common, True, return_indices=True)
-                samples.errors[places] = values[rows]
+                getattr(samples, kind)[places] = values[rows]
             else:
                 rows = values[np.searchsorted(stamps, common)]
                 if kind == "pose":
@@ -234,13 +236,23 @@ class Recording:
             yield samples
 
     def _motion_topics(self):
-        """{topic: (kind, indices of its bodies)} in the order of the bodies, then the errors of all of them."""
+        """{topic: (kind, indices of its bodies)} in the order of the bodies, then what is of all of them."""
         topics, found = self.settings["topics"], {}
         for i, body in enumerate(self.bodies):
             for kind in ("pose", "twist"):
                 found.setdefault(topics[kind][body], (kind, []))[1].append(i)
-        errors = topics.get("errors")
-        return found | {errors: ("errors", range(len(self.bodies)))} if self.topics.get(errors) else found
+        counts = {"errors": len(self.bodies), "laws": len(self._laws)}
+        return found | {
+            topics[kind]: (kind, range(counts[kind])) for kind in OF_ALL if self.topics.get(topics.get(kind))
+        }
+
+    @property
+    def _laws(self):
+        """Names of the states of laws."""
+        names = self.settings.get("laws", [])
+        if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+            raise RecordingError(f"{self.path}: its settings have no valid names of states of laws")
+        return names
 
     def _decoded(self, wanted):
         """(topic, stamps, values (k, bodies, numbers)) of the poses, twists and errors in each chunk."""
@@ -259,13 +271,14 @@ class Recording:
 
     def _values(self, channel, kind, bodies, messages, index):
         """(stamps, values) for runs of messages of one topic about the bodies with these indices."""
-        world, names = self.settings.get("world_frame", "world"), [self.bodies[i] for i in bodies]
+        world, known = self.settings.get("world_frame", "world"), self._laws if kind == "laws" else self.bodies
+        names = [known[i] for i in bodies]
         several = SEVERAL.get((kind, channel.type))
         if several is not None:
             for part in of_one_size(messages, index):
                 yield messages.log_time[part], several(messages.rows(part), names, world)
             return
-        if kind == "errors" or len(names) > 1:
+        if kind in OF_ALL or len(names) > 1:
             raise RecordingError(f"{channel.topic} has messages of the type {channel.type!r:.60}")
         codec = PoseStampedCodec if kind == "pose" else TwistStampedCodec
         frame = world if kind == "pose" else self.settings.get("frame_prefix", "") + names[0]

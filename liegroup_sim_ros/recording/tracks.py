@@ -95,6 +95,7 @@ class Samples(NamedTuple):
     quaternion: np.ndarray  # (k, n, 4) x, y, z, w
     twist: np.ndarray  # (k, n, 6) (omega, v), body axes
     errors: np.ndarray | None = None  # (k, n, 4) as in ErrorTrack; None without an estimate
+    laws: np.ndarray | None = None  # (k, s, 1) states of laws; NaN: not recorded, None: there are none
 
 
 class Event(NamedTuple):

@@ -17,7 +17,7 @@ import numpy as np
 from liegroup_core.forces.commands import MOTION, TARGET
 from liegroup_core.joint_events import has_impacts
 from liegroup_core.joints.motion import FROM_SCENE
-from liegroup_sim_ros.messages import commands, estimates, events, inputs, schemas, topics
+from liegroup_sim_ros.messages import commands, estimates, events, inputs, law_states, schemas, topics
 from liegroup_sim_ros.messages import samples as sample_messages
 from liegroup_sim_ros.messages.codecs import LogCodec
 from liegroup_sim_ros.messages.joint_modes import JointReports
@@ -169,6 +169,7 @@ class LogFile:
         motion, self._encode = sample_messages.motion(bodies, own, WORLD_FRAME)
         optional = {
             "errors": (topics.ERRORS, has_estimate(simulation)),
+            "laws": (topics.LAWS, layout.states),
             "joint_modes": (topics.JOINT_MODES, layout.switches),
             "servo_targets": (topics.SERVO_TARGETS, layout.servos),
             "motions": (topics.MOTIONS, layout.motions),
@@ -198,10 +199,10 @@ class LogFile:
         except RecorderError as error:
             raise OutputError(str(error)) from None
         self._checkpoints = Checkpoints(self._recorder, simulation)
-        self._encode_errors = estimates.encoder(bodies)
+        self._encode_errors, self._encode_laws = estimates.encoder(bodies), law_states.encoder(layout)
         self._channels = [self._channel(topic) for topic in motion]
         optional["inputs"] = topics.INPUTS
-        of = ("errors", "inputs", "servo_targets", "motions", "joint_modes")  # in the order of their channels
+        of = ("errors", "inputs", "servo_targets", "motions", "joint_modes", "laws")  # in the order of their channels
         self._of = {kind: self._channel(optional[kind]) for kind in of if kind in optional}
         self._encode_targets, self._encode_motions = commands.servo_targets(layout), commands.motions(layout)
         self._on_request = [
@@ -296,6 +297,8 @@ class LogFile:
             self._recorder.write(channel, stamp, message)
         if "errors" in self._of:
             self._recorder.write(self._of["errors"], stamp, self._encode_errors(sample))
+        if "laws" in self._of:
+            self._recorder.write(self._of["laws"], stamp, self._encode_laws(sample))
         for channel, encode in self._on_request:
             self._recorder.write(channel, stamp, encode(stamp, sample))
         self._checkpoints.add_if_due(stamp)

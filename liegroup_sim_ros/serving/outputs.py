@@ -15,7 +15,16 @@ from liegroup_core.forces.commands import LOADS
 from liegroup_core.forces.kinds import target_values
 from liegroup_core.joint_events import has_impacts
 from liegroup_core.joints.motion import FROM_SCENE
-from liegroup_sim_ros.messages import commands, description, diagnostics, estimates, inputs, joint_modes, topics
+from liegroup_sim_ros.messages import (
+    commands,
+    description,
+    diagnostics,
+    estimates,
+    inputs,
+    joint_modes,
+    law_states,
+    topics,
+)
 from liegroup_sim_ros.messages import samples as sample_messages
 from liegroup_sim_ros.messages.codecs import ClockCodec, LogCodec
 from liegroup_sim_ros.messages.markers import Markers, markers
@@ -237,6 +246,11 @@ class Outputs:
             self._topics["errors"] = errors.topic
             streams.append(errors)
             encoders.append(lambda stamp_ns, sample: [encode_errors(sample)])
+        if self._layout.states:
+            laws, encode_laws = self._stream(*topics.LAWS), law_states.encoder(self._layout)
+            self._topics["laws"] = laws.topic
+            streams.append(laws)
+            encoders.append(lambda stamp_ns, sample: [encode_laws(sample)])
 
         def sender(calls, records=True):
             def send(stamp_ns, sample):
