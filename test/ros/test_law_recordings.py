@@ -52,7 +52,7 @@ def test_the_states_are_in_the_samples(recorded):
 def test_the_work_of_the_law_closes_the_balance_and_the_replay_has_the_same_bits(recorded):
     """The integral of the power between samples has an error of 1e-9 J, which it states."""
     figures = analyse(read_recording(recorded[1])).figures
-    balance = figures["energy"]["balance"]
+    balance = figures["balance"]
     assert abs(balance["work_J"]["laws"]) > 0.1
     assert balance["largest_J"] < 1e-8 and balance["quadrature_J"] < 1e-8
     assert figures["repeat"]["identical"] == figures["repeat"]["samples"] == 1001
