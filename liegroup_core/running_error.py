@@ -89,7 +89,7 @@ class RunningError:
 
     KEPT = (
         *("_set_at", "_start", "_next", "_block", "_substeps", "_alive", "_failed"),
-        *("_origin", "estimate", "_companion"),
+        *("_origin", "estimate", "_companion", "lost"),
     )
 
     def __init__(self, engine, horizon=None):

@@ -18,7 +18,7 @@ from liegroup_core.forces.instants import NEVER
 from liegroup_core.layout import make_layout
 from liegroup_core.methods.families import choose_group
 from liegroup_core.parts import attached
-from liegroup_core.running_error import RunningError
+from liegroup_core.running_error import LOST, RunningError
 from liegroup_core.scene.description import Scene
 from liegroup_core.settings import SETTINGS, check_group, checked, of_engine
 from liegroup_core.state import State, decoded, encoded, kept, set_kept, with_pulls
@@ -271,7 +271,7 @@ class Simulation(Engine):
         """Parts of a State as JSON types.
 
         From earlier versions they have a mask of the wrenches of the scene in the memory of a method, and those without
-        offsets the time in ns, and no Jacobians; and none has pulls.
+        offsets the time in ns, and no Jacobians; none has pulls, or the cause of an infinite estimate.
         """
 
         def complete(parts, now_ns):
@@ -292,7 +292,8 @@ class Simulation(Engine):
             return parts | {"offsets": [0, 1, *Fraction(now).as_integer_ratio()]}
 
         if isinstance(data.get("running"), dict) and "companion" in data["running"]:
-            data = data | {"running": data["running"] | {"companion": complete(data["running"]["companion"], None)}}
+            running = {"lost": LOST} | data["running"]
+            data = data | {"running": running | {"companion": complete(running["companion"], None)}}
         return complete(data, data.get("reached_ns"))
 
     def _start_at(self, pose, twist, instant, angles):

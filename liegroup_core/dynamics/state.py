@@ -47,7 +47,11 @@ def count_turns(model, work):
     forces.count_turns(model.space.forces, work.stage_pose, work.angle)
     first = len(work.angle) - len(model.law_links)
     for s in range(len(model.law_links)):
-        work.angle[first + s] = work.stage_twist[len(model.bodies) + model.law_links[s], 0]
+        row = len(model.bodies) + model.law_links[s]
+        work.angle[first + s] = work.stage_twist[row, 0]
+        # Its link stays where it is: the integral of a state is no part of the motion. x and y in a plane, and r.
+        for c in (2, 3, 9, 10, 11):
+            work.stage_pose[row, c] = 0.0
 
 
 @kernel

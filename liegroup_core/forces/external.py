@@ -59,7 +59,7 @@ def set_wrench(external, body, wrench, axes):
         return
     first = 6 if axes == "world" else 16
     external[body, first : first + len(wrench)] = wrench
-    turning = external[body, 16:].any()
+    turning = external[body, 16:PULL].any()
     external[body, 15] = 2.0 if turning else float(external[body, 6:12].any())
 
 

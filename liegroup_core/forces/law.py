@@ -77,6 +77,7 @@ class Laws(Struct):
     start: np.ndarray  # (s,) values at the start
     scales: np.ndarray  # (s,) magnitudes, to which the absolute tolerance of error control refers
     registers: np.ndarray  # (m, 2) at the start: value, derivative
+    timed: bool  # whether any depends on the time
 
 
 def _quantity(value):
@@ -394,6 +395,7 @@ def make_laws(described, index, ends, angles, slides):
         start=np.array([each.start for _, each in states_of(described)]),
         scales=np.array([each.scale for _, each in states_of(described)]),
         registers=registers,
+        timed=any(law.uses_time for law in laws_of(described)),
     )
 
 

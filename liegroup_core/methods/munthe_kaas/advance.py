@@ -41,6 +41,12 @@ MOST_EQUAL = 2.0  # substeps up to a known change that are equal
 
 
 @kernel
+def is_timed(model, work):
+    """Whether accelerations depend on the time, which has other round-off at the end of a substep than at a start."""
+    return len(work.motions) > 0 or model.space.forces.laws.timed
+
+
+@kernel
 def attempt(model, work, scheme, size, start, since, first, pose, twist, external):
     """Set the stage to the end of a substep of `size` s from a state. Returns a status.
 
@@ -76,7 +82,7 @@ def _accept_controlled(model, work, scheme, control, pose, twist):
     if control.coarse[0] > 0.0:
         _coarsen(control.coarse[0], work.stage_pose, work.stage_twist)
     accept(model, work, pose, twist)
-    return 0 if model.projects or control.coarse[0] > 0.0 else 1
+    return 0 if model.projects or control.coarse[0] > 0.0 or is_timed(model, work) else 1
 
 
 @kernel
@@ -132,7 +138,7 @@ def advance_controlled(model, work, scheme, h, steps, pose_in, twist_in, externa
         _save(work, pose, twist, control)
         start, remaining = (work.clock.count[0] + done) * h + work.clock.offset[0], h
         attempts, planned = 0, 0
-        if len(work.motions) > 0:
+        if is_timed(model, work):
             first = 0  # the time at the end of the last step differs by round-off
         while status == OK and remaining > 0.0:
             # Equal substeps up to the end of the step, so that the last one is not tiny.
@@ -256,7 +262,7 @@ def inside(model, work, scheme, pose_in, twist_in, external_in, control):
 def _go_ahead(model, work, scheme, steps, pose, twist, external, control):
     """Take substeps until the lead is at the end of the call or after it. Returns a status."""
     step, watching, status, attempts = work.clock.step_size[0], watches(model, work), OK, 0
-    first = 1 if control.fresh[0] != 0.0 and len(work.motions) == 0 else 0
+    first = 1 if control.fresh[0] != 0.0 and not is_timed(model, work) else 0
     remaining, before = time_left(work, control), control.size[0]
     if remaining > 0.0 and control.due[0] != 0.0:
         status = EVENT
