@@ -15,6 +15,7 @@ order, error control and derivatives. After a step its value is kept behind the 
 All laws of a scene are one program, evaluated once a stage. Its registers are memory of a run; the first is the time.
 """
 
+from keyword import iskeyword
 from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
@@ -162,7 +163,9 @@ class LawOutput(Described):
 
     @model_validator(mode="after")
     def _check(self):
-        if (self.joint is None) == (self.body is None):
+        if (self.joint is None) == (self.body is None) or self.joint and not {"torque", "force"}.isdisjoint(
+            self.model_fields_set
+        ):
             raise SceneError("give either joint and effort, or body with torque and force")
         if (self.effort is None) != (self.joint is None):
             raise SceneError("effort belongs to joint: give both", place=("effort",))
@@ -198,7 +201,7 @@ class Law(Force):
         known = {}
         for key in ("inputs", "parameters", "tables", "states", "signals"):
             for name in getattr(self, key):
-                if name in RESERVED:
+                if name in RESERVED or iskeyword(name):
                     raise SceneError(f"{key}: the name {name} is taken by formulas: choose another", place=(key, name))
                 if name in known:
                     raise SceneError(

@@ -128,7 +128,7 @@ TABLE = {
     "contacts": Row(
         "contact", _TO_PLANE, ("N",), "of what rolls, to its plane", lambda s, _: list(s.contacts.values())
     ),
-    "efforts": Row("driven", ("effort",), ("{effort}",), "of servo, drive and commands", _efforts),
+    "efforts": Row("driven", ("effort",), ("{effort}",), "of servo, drive, laws and commands", _efforts),
     "forces": Row(
         "force", ("effort",), ("{effort}",), "on the child of its joint", lambda s, _: list(s.force_efforts.values())
     ),

@@ -375,9 +375,9 @@ class Sample:
 
     @property
     def all_efforts(self) -> dict[str, float]:
-        """{joint: N m or N}: sum of its effort in `joint_efforts` and that of its servo or drive."""
+        """{joint: N m or N}: sum of its effort in `joint_efforts` and those of its servo or drive and of laws."""
         efforts = {**self.servo_efforts, **self.drive_efforts}
-        for joint, effort in self.joint_efforts.items():
+        for joint, effort in (*self.joint_efforts.items(), *self.law_efforts.items()):
             efforts[joint] = efforts.get(joint, 0.0) + effort
         return efforts
 

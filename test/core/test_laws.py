@@ -489,6 +489,8 @@ def test_laws_read_signals_of_earlier_laws_and_samples_show_them():
         ({"inputs": {"q": "bob.x", "w": {"quantity": "bob.qx", "point": [1, 0, 0]}}}, "has no point"),
         ({"inputs": {"t": "hinge.position"}}, "the name t is taken"),
         ({"parameters": {"q": 1.0}}, "q is also one of its inputs"),
+        ({"parameters": {"if": 1.0}}, "the name if is taken"),
+        ({"outputs": [{"joint": "hinge", "torque": [0, 0, 1]}]}, "give either joint and effort"),
         ({"outputs": [{"joint": "hinge"}]}, "effort belongs to joint"),
         ({"outputs": [{"joint": "nut", "effort": 1}]}, "'nut' is not a joint with one coordinate"),
         ({"outputs": [{"body": "bib", "force": [1, 0, 0]}]}, "choose one of: bob"),
