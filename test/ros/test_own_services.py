@@ -133,6 +133,19 @@ def test_a_force_at_a_point_has_its_torque_for_its_duration(own):
     assert np.hypot(twist[3], twist[4]) == pytest.approx(3.0 * 0.0105, rel=1e-6)
 
 
+def test_a_pull_swings_its_body_about_a_point_in_the_world(own):
+    """Without damping: v = omega a sin(omega t), and it ends by its duration."""
+    assert own.call("set_state", [("stone/pose", [0.0] * 6 + [1.0]), ("stone/twist", [0.0] * 6)])[0]
+    mass, to, omega = 2.0, 0.3, 20.0
+    values = [("body", "stone"), ("to", [to, 0.0, 0.0]), ("stiffness", mass * omega**2), ("duration", 0.0105)]
+    done, text = own.call("apply_pull", values)
+    assert done and text.startswith("pull on stone for 0.0105 s")
+    _, twist = own.step(10)
+    assert twist[3] == pytest.approx(omega * to * np.sin(omega * 0.010), rel=1e-6)
+    _, twist = own.step(30)
+    assert twist[3] == pytest.approx(omega * to * np.sin(omega * 0.0105), rel=1e-6)
+
+
 def test_a_force_in_world_axes_at_a_point_turns_the_body_towards_it(own):
     """A pendulum whose stone is held by nothing: torque p x R^T F about z, at a turned attitude.
 
@@ -186,6 +199,9 @@ def test_a_force_in_world_axes_at_a_point_turns_the_body_towards_it(own):
         ("apply_wrench", [("body", "stone"), ("force", [1.0] * 3)], "duration must be a number"),
         ("apply_wrench", [("body", "stone"), ("duration", -1.0)], "duration must be a number"),
         ("apply_wrench", [("duration", 1.0)], "unknown body ''"),
+        ("apply_pull", [("body", "stone"), ("to", [1.0] * 2), ("duration", 1.0)], "to must be 3 finite numbers"),
+        ("apply_pull", [("body", "stone"), ("stiffness", -1.0), ("duration", 1.0)], "stiffness must be a finite number"),
+        ("apply_pull", [("body", "stone"), ("force", [1.0] * 3)], "unknown name 'force'"),
         ("apply_wrench", [("body", "stone"), ("size", 1.0)], "unknown name 'size'"),
         (
             "apply_wrench",

@@ -5,7 +5,7 @@ import struct
 
 import numpy as np
 import pytest
-from geometry_msgs.msg import WrenchStamped
+from geometry_msgs.msg import PointStamped, WrenchStamped
 from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.serialization import serialize_message
@@ -115,6 +115,25 @@ def test_a_message_serialized_by_ros_is_decoded(values, stamp_ns, frame):
     stamp, frame_id, wrench = WrenchStampedCodec.decode_one(serialize_message(message))
     assert (stamp, frame_id) == (stamp_ns, frame)
     assert struct.pack("6d", *wrench) == struct.pack("6d", *values)
+
+
+def test_a_point_in_the_world_pulls_at_a_body_or_a_merged_link():
+    """With a spring of 1 Hz for the mass of the body, and 0.7 of critical damping."""
+    place = np.eye(4)
+    place[:3, 3] = 0.5, 0.0, 0.0
+    reader = WrenchInput(["tool"], "world", "a/", {"tool": "tool"}, {"tcp": ("tool", place)}, {"tool": 2.0})
+    message = PointStamped()
+    message.point.x, message.point.y, message.point.z = 1.0, 2.0, 3.0
+    omega = 2 * np.pi
+    for frame, point, source in (("a/tool", None, "pull/tool/"), ("a/tcp/me", (0.5, 0.0, 0.0), "pull/tool/(tcp)/me/")):
+        message.header.frame_id = frame
+        pull = reader.read_pull(serialize_message(message), NOW, 0)
+        assert (pull.kind, pull.name, pull.point, pull.source) == ("pull", "tool", point, source)
+        assert pull.values == pytest.approx((2 * omega**2, 2 * 0.7 * omega * 2, 1, 2, 3, 0, 0, 0, 0))
+    for wrong, value in (("tool", 1.0), ("a/tool", float("nan"))):
+        message.header.frame_id, message.point.x = wrong, value
+        with pytest.raises(Refusal):
+            reader.read_pull(serialize_message(message), NOW, 0)
 
 
 def test_a_body_is_also_named_by_the_link_of_its_robots_file():
