@@ -448,10 +448,6 @@ class Engine:
         """
         self.reach(self._instant(time))
 
-    def advance_to_step(self, steps):
-        """As `advance`, up to a step count that is not before the present one; a halt remains."""
-        self._go(self._grid.boundary(steps))
-
     def reach(self, instant, enough=None):
         """As `advance_to`, of an Instant; enough : as in `advance`."""
         if self._halted:

@@ -215,7 +215,7 @@ class RunningError:
             return
         if not self._failed:
             try:
-                self._companion.advance_to_step(meeting)
+                self._send(self._companion.instant_inside(meeting, 0))
             except SimulationError as error:
                 self._fail(error)
         if not self._failed and self._companion.steps < meeting:
@@ -275,6 +275,13 @@ class RunningError:
         self._failed, self.lost = True, f"{LOST}: {error}"
         self._companion.now = self._companion.base  # wherever it stood before
 
+    def _send(self, instant):
+        """Advance the companion to an Instant of its own. Raises SimulationError."""
+        other = self._companion
+        if instant > other.now and not other.serves(instant.step):
+            other._stand(other.base, other.base)  # an error names the last valid state, not that of a read
+        other._go(instant)
+
     def _follow(self):
         """Advance the companion to the present time. Raises SimulationError."""
         now, other = self.engine.now, self._companion
@@ -285,7 +292,7 @@ class RunningError:
             else:
                 now = other.instant_inside(whole, Fraction(part, self.ours))
         try:
-            other._go(now)
+            self._send(now)
         except SimulationError as error:
             if other.base.step < now.step:  # else a part of a step failed, which no other one depends on
                 self._fail(error)

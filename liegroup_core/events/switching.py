@@ -200,6 +200,7 @@ class Switching(EventTimes):
             self._lead.go_back()
         if not known:
             work.modes[:, COORDINATE] = self._in_turns_of_stops(work.modes[:, COORDINATE])
+        work.clock.now[0] = time
         status = self._look(self._model, work, *state)
         if status != OK:
             return status
@@ -291,6 +292,7 @@ class Switching(EventTimes):
         """
         model, work = self._model, self._work
         time = float(time)  # users read it in the events
+        work.clock.now[0] = time
         status = self._look(model, work, *state)
         if status != OK:
             return status

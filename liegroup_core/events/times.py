@@ -73,6 +73,7 @@ class EventTimes(ModeChanges):
             if status != OK:
                 failed.append(status)
                 return np.full_like(work.guards, np.nan), None, None
+            work.clock.now[0] = work.clock.offset[0] + tau  # not that of the last trial
             self._look(self._model, work, *state)
             return work.guards.copy(), work.modes[:, COORDINATE].copy(), work.now.copy()
 

@@ -163,8 +163,10 @@ class LawOutput(Described):
 
     @model_validator(mode="after")
     def _check(self):
-        if (self.joint is None) == (self.body is None) or self.joint and not {"torque", "force"}.isdisjoint(
-            self.model_fields_set
+        if (
+            (self.joint is None) == (self.body is None)
+            or self.joint
+            and not {"torque", "force"}.isdisjoint(self.model_fields_set)
         ):
             raise SceneError("give either joint and effort, or body with torque and force")
         if (self.effort is None) != (self.joint is None):

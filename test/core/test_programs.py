@@ -12,11 +12,39 @@ import pytest
 from liegroup_core import Simulation, SimulationError, load_scene
 from liegroup_core.layout import make_layout
 from liegroup_core.methods.families import fitting_methods
+from liegroup_core.scene.load import scene_from_text
 
 SCENES = (
     *("lagrangian_top", "heavy_top", "four_bar", "slider_crank", "driven_arm", "flyball_governor", "hinge_chain"),
-    *("stick_slip", "cable", "gripper", "door"),
+    *("stick_slip", "cable", "gripper", "door", "controlled"),
 )
+# A law with states, kinks and the time, on a mechanism with a stop.
+CONTROLLED = """
+name: controlled
+gravity: [0,0,-9.81]
+bodies:
+- {name: bob, mass: 0.8, inertia: [0.1, 0.05, 0.1], com: [0, 0, -0.5], rotation_vector: [0, 0.7, 0]}
+- {name: tip, mass: 0.3, inertia: [0.02, 0.02, 0.02], position: [-0.6, 0, -0.7]}
+assemble: true
+joints:
+- {name: hinge, type: revolute, parent: world, child: bob, parent_frame: {axis: [0, 1, 0]},
+   child_frame: {axis: [0, 1, 0]},
+   limits: {lower: -0.3, upper: 0.95, restitution: 0.5}}
+- {name: elbow, type: spherical, parent: bob, child: tip,
+   parent_frame: {position: [0, 0, -1]}, child_frame: {position: [0, 0, 0.3]}}
+forces:
+- name: pid
+  type: law
+  inputs: {q: hinge.position, w: hinge.velocity, x: tip.x}
+  parameters: {kp: 6, ki: 4, kd: 0.4}
+  states:
+    i: {rate: "e if abs(u) < 3 or e*u < 0 else 0"}
+    a: {start: 0.2, rate: "(clip(u, -3, 3) - a)/0.05"}
+  signals: {e: 0.5*sin(20*t) - q, u: kp*e + ki*i - kd*w}
+  outputs: [{joint: hinge, effort: a},
+            {body: tip, force: [-x, 0.1*sin(30*t), i], axes: world}]
+- {name: hold, type: servo, joint: hinge, stiffness: 2, damping: 0.1}
+"""
 ACCURACIES = ({"accuracy": 1e-5}, {"accuracy": 1e-3, "horizon": 5.0, "step": 0.1}, {"accuracy": 1e-9, "step": 2e-3})
 SECONDS, COMMANDS = 0.25, 10
 PAIRS = 5000 if os.environ.get("VERIFY") else 240
@@ -36,6 +64,7 @@ def program_of(simulation, rng):
             span | {"source": str(rng.choice(["a", "b"])), "axes": str(rng.choice(["body", "world"]))},
         )
         kinds = [("apply_wrench", wrench[0], wrench[1] | {"point": point})] * 3
+        kinds += [("pull", (body, values[:3], 20.0, 1.0), span | {"source": "a", "point": point})]
         kinds += [("clear_wrenches", ("a",), {}), ("check", (), {})]
         for names, what, given in (
             (layout.unit_efforts, "apply_effort", (values[0],)),
@@ -129,8 +158,13 @@ def cases():
     found = []
     for name in SCENES:
         found += [(name, options) for options in ACCURACIES]
-        found += [(name, {"method": m, "step": 2e-3}) for m in fitting_methods(make_layout(load_scene(name)))]
+        found += [(name, {"method": m, "step": 2e-3}) for m in fitting_methods(make_layout(scene_of(name)))]
     return found
+
+
+def scene_of(name):
+    """Scene of SCENES."""
+    return scene_from_text(CONTROLLED, name) if name == "controlled" else load_scene(name)
 
 
 @pytest.mark.parametrize("part", range(8))
@@ -139,7 +173,7 @@ def test_programs_have_one_effect_whatever_is_read(part):
     every = cases()
     for pair in range(part, PAIRS, 8):
         name, options = every[zlib.crc32(b"%d" % pair) % len(every)]
-        scene = load_scene(name)
+        scene = scene_of(name)
 
         def fresh(scene=scene, options=options):
             return Simulation(scene, quiet=True, **options)

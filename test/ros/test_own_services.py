@@ -200,7 +200,11 @@ def test_a_force_in_world_axes_at_a_point_turns_the_body_towards_it(own):
         ("apply_wrench", [("body", "stone"), ("duration", -1.0)], "duration must be a number"),
         ("apply_wrench", [("duration", 1.0)], "unknown body ''"),
         ("apply_pull", [("body", "stone"), ("to", [1.0] * 2), ("duration", 1.0)], "to must be 3 finite numbers"),
-        ("apply_pull", [("body", "stone"), ("stiffness", -1.0), ("duration", 1.0)], "stiffness must be a finite number"),
+        (
+            "apply_pull",
+            [("body", "stone"), ("stiffness", -1.0), ("duration", 1.0)],
+            "stiffness must be a finite number",
+        ),
         ("apply_pull", [("body", "stone"), ("force", [1.0] * 3)], "unknown name 'force'"),
         ("apply_wrench", [("body", "stone"), ("size", 1.0)], "unknown name 'size'"),
         (

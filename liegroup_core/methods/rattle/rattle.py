@@ -85,9 +85,10 @@ def advance(model, work, memory, parts, h, steps, pose_in, twist_in, external_in
     pose, twist, external, status = enter(model, work, pose_in, twist_in, external_in)
     done = 0
     while done < steps and status == OK:
+        start, passed = (work.clock.count[0] + done) * h + work.clock.offset[0], 0.0
+        work.clock.now[0] = start
         begin(model, work, memory, pose, twist, external, done == 0)
         work.report[STEP_TURN] = 0.0
-        start, passed = (work.clock.count[0] + done) * h + work.clock.offset[0], 0.0
         for part in range(len(parts)):
             size = parts[part] * h
             passed = passed + parts[part] if part + 1 < len(parts) else 1.0
