@@ -31,7 +31,7 @@ test: .venv/installed ## run the tests against the installed package (15 min on 
 	@.venv/bin/python -P test/compile_kernels.py
 	@$(PYTEST) $(ARGS)
 
-verify: .venv/installed ## run everything: all cases, on every day (about an hour)
+verify: .venv/installed ## run everything: all cases and turns (about an hour)
 	@VERIFY=1 $(PYTEST) $(ARGS)
 
 plain: .venv/installed ## run the tests of the plain compilation of every method family (10 min)

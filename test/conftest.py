@@ -13,7 +13,7 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_collection_modifyitems(config, items):
-    """What `make test` leaves to other days, see volume.py; a case or test that is named runs.
+    """What `make test` leaves to other commits, see volume.py; a case or test that is named runs.
 
     Files with slow tests come first, so that no worker is left with one of them at the end.
     """
@@ -24,7 +24,6 @@ def pytest_collection_modifyitems(config, items):
     cases, left = {}, []
     for item in items:
         volume, turn = (item.get_closest_marker(name) for name in ("volume", "turn"))
-        assert volume is None or turn is None, f"{item.nodeid}: give one of volume and turn, as days would coincide"
         if volume is not None:
             cases.setdefault((item.nodeid.partition("[")[0], *volume.args), []).append(item)
         if turn is not None and not has_turn(item.nodeid.partition("[")[0], *turn.args):

@@ -271,8 +271,8 @@ TEXTS = {
 
 @pytest.mark.parametrize("kind", ["urdf", "sdf", pytest.param("xml", marks=pytest.mark.slow)])
 def test_damaged_files_load_or_have_one_line(kind, tmp_path):
-    text, count, each_day = TEXTS[kind]
-    refused, seeds = 0, some(range(count), each_day)
+    text, count, each_commit = TEXTS[kind]
+    refused, seeds = 0, some(range(count), each_commit)
     path = tmp_path / f"arm.{kind}"
     for seed in seeds:
         path.write_text(mutated(text, np.random.default_rng([5, seed])))

@@ -32,7 +32,7 @@ class Run:
             step = fitting_step(values)
             simulation = Simulation(scene, step=step, accuracy=values.accuracy, horizon=values.accuracy_horizon)
         self.simulation = simulation
-        self._run = SceneRun(ros_node, values, simulation, before and before._run)
+        self._run = SceneRun(ros_node, values, simulation, before and before._run, values.start_paused)
         self.server, self.outputs = self._run.server, self._run.outputs
 
     def __enter__(self):

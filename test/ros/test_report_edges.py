@@ -106,7 +106,7 @@ def test_pages_of_random_recordings_run_without_an_error(found, tmp_path):
         with contextlib.suppress(RecordingError):  # no sample time in common
             compared = differences(one.recording, other.recording)
             print_comparison(compared[0], Console(file=io.StringIO()))
-    assert compared is not None or not VERIFY  # some days have no pair with a sample time in common
+    assert compared is not None or not VERIFY  # some commits have no pair with a sample time in common
     text = make_page(parts, compared)
     assert text.count('<details class="log"') == len(SEEDS)
     if CHROMIUM is None:
