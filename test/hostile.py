@@ -5,6 +5,8 @@ import importlib
 import math
 import re
 
+from scene_files import text_of
+
 # Each runs code, or reads what it must not, if it is evaluated as Python; CANARY is a path.
 PRIMITIVES = (
     "().__class__.__base__.__subclasses__()",
@@ -51,12 +53,7 @@ def expression(rng):
     return text
 
 
-XACRO = """<robot name="r" xmlns:xacro="http://ros.org/wiki/xacro">
-<xacro:property name="a" value="%s"/><link name="base"/>
-<link name="l${a}"><inertial><mass value="1"/>
-<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
-<joint name="j" type="continuous"><parent link="base"/><child link="l${a}"/></joint></robot>
-"""
+XACRO = text_of("r_hostile.urdf")
 
 
 def xacro_text(value):

@@ -2,117 +2,14 @@
 """Robot files for tests: one arm in three formats, random trees, and mechanisms with loops."""
 
 import numpy as np
+from scene_files import filled, text_of
 
 # Two links on a rotated base, a tool that is fixed to the second one, a slide without mass at its end.
-ARM_URDF = """<?xml version="1.0"?>
-<robot name="arm">
-  <link name="base"><collision><geometry><box size="1 1 1"/></geometry></collision></link>
-  <link name="upper">
-    <inertial>
-      <origin xyz="0.1 0.02 -0.03" rpy="0.3 -0.2 0.5"/>
-      <mass value="2.5"/>
-      <inertia ixx="0.02" iyy="0.03" izz="0.025" ixy="0.001" ixz="-0.002" iyz="0.0015"/>
-    </inertial>
-    <visual><origin xyz="0.1 0 0"/><geometry><box size="0.2 0.05 0.04"/></geometry></visual>
-  </link>
-  <link name="slide">
-    <inertial>
-      <origin xyz="0 0.05 0.01" rpy="0 0 0.4"/>
-      <mass value="1.2"/>
-      <inertia ixx="0.004" iyy="0.005" izz="0.006" ixy="0" ixz="0" iyz="0"/>
-    </inertial>
-  </link>
-  <link name="tool">
-    <inertial>
-      <origin xyz="0 0 0.1"/>
-      <mass value="0.4"/>
-      <inertia ixx="0.001" iyy="0.001" izz="0.0005" ixy="0" ixz="0" iyz="0"/>
-    </inertial>
-  </link>
-  <link name="tip"/>
-  <joint name="shoulder" type="revolute">
-    <parent link="base"/><child link="upper"/>
-    <origin xyz="0.1 0.2 0.3" rpy="0.2 0.1 -0.3"/>
-    <axis xyz="0.3 -0.5 1"/>
-    <limit lower="-1" upper="2" effort="10" velocity="3"/>
-    <dynamics damping="0.7" friction="0.1"/>
-  </joint>
-  <joint name="extend" type="prismatic">
-    <parent link="upper"/><child link="slide"/>
-    <origin xyz="0.3 0 0.05" rpy="0.5 0 0"/>
-    <axis xyz="0 1 0"/>
-    <limit lower="-1" upper="1" effort="10" velocity="3"/>
-    <dynamics damping="4"/>
-  </joint>
-  <joint name="flange" type="fixed">
-    <parent link="slide"/><child link="tool"/><origin xyz="0 0.1 0" rpy="0 0.7 0"/>
-  </joint>
-  <joint name="tip_joint" type="continuous">
-    <parent link="tool"/><child link="tip"/><axis xyz="0 0 1"/>
-  </joint>
-  <transmission name="drive"/>
-</robot>
-"""
+ARM_URDF = text_of("arm_robot_texts.urdf")
 
-ARM_SDF = """<?xml version="1.0"?>
-<sdf version="1.9">
-  <model name="arm">
-    <pose>0 0 0 0 0 0</pose>
-    <frame name="mount"><pose>0.1 0.2 0.3 0.2 0.1 -0.3</pose></frame>
-    <link name="upper">
-      <pose relative_to="mount"/>
-      <inertial>
-        <pose>0.1 0.02 -0.03 0.3 -0.2 0.5</pose><mass>2.5</mass>
-        <inertia><ixx>0.02</ixx><iyy>0.03</iyy><izz>0.025</izz>
-          <ixy>0.001</ixy><ixz>-0.002</ixz><iyz>0.0015</iyz></inertia>
-      </inertial>
-    </link>
-    <link name="slide">
-      <pose relative_to="upper">0.3 0 0.05 0.5 0 0</pose>
-      <inertial>
-        <pose>0 0.05 0.01 0 0 0.4</pose><mass>1.2</mass>
-        <inertia><ixx>0.004</ixx><iyy>0.005</iyy><izz>0.006</izz></inertia>
-      </inertial>
-    </link>
-    <link name="tool">
-      <pose relative_to="slide">0 0.1 0 0 0.7 0</pose>
-      <inertial>
-        <pose>0 0 0.1 0 0 0</pose><mass>0.4</mass>
-        <inertia><ixx>0.001</ixx><iyy>0.001</iyy><izz>0.0005</izz></inertia>
-      </inertial>
-    </link>
-    <joint name="shoulder" type="revolute">
-      <parent>world</parent><child>upper</child>
-      <axis><xyz>0.3 -0.5 1</xyz><dynamics><damping>0.7</damping></dynamics></axis>
-    </joint>
-    <joint name="extend" type="prismatic">
-      <pose relative_to="slide"/>
-      <parent>upper</parent><child>slide</child>
-      <axis><xyz expressed_in="slide">0 1 0</xyz><dynamics><damping>4</damping></dynamics></axis>
-    </joint>
-    <joint name="flange" type="fixed"><parent>slide</parent><child>tool</child></joint>
-  </model>
-</sdf>
-"""
+ARM_SDF = text_of("arm_robot_texts.sdf")
 
-ARM_MJCF = """<mujoco model="arm">
-  <compiler angle="radian" eulerseq="XYZ"/>
-  <worldbody>
-    <body name="upper" pos="0.1 0.2 0.3" euler="0.2 0.1 -0.3">
-      <inertial pos="0.1 0.02 -0.03" mass="2.5"
-        fullinertia="{upper}"/>
-      <joint name="shoulder" type="hinge" axis="0.3 -0.5 1" damping="0.7"/>
-      <body name="slide" pos="0.3 0 0.05" euler="0.5 0 0">
-        <inertial pos="0 0.05 0.01" mass="1.2" euler="0 0 0.4" diaginertia="0.004 0.005 0.006"/>
-        <joint name="extend" type="slide" axis="0 1 0" damping="4"/>
-        <body name="tool" pos="0 0.1 0" euler="0 0.7 0">
-          <inertial pos="0 0 0.1" mass="0.4" diaginertia="0.001 0.001 0.0005"/>
-        </body>
-      </body>
-    </body>
-  </worldbody>
-</mujoco>
-"""
+ARM_MJCF = text_of("arm.xml")
 
 
 def written(path, text):
@@ -270,64 +167,9 @@ def scissor_lift(stages, angle=0.5):
     return text, "\n".join(rows) + "\n"
 
 
-MJCF_WITH_ALL_JOINTS = """<mujoco>
-  <worldbody>
-    <body name="cart"><joint name="x" type="slide" axis="1 0 0" damping="0.3"/>
-      <joint name="y" type="slide" axis="0 1 0" stiffness="3" springref="0.2"/>
-      <joint name="turn" type="hinge" axis="0 0 1" pos="0.1 0 0"/>
-      <geom type="box" size="0.2 0.1 0.05" mass="3"/>
-      <body name="arm" pos="0.2 0 0.1"><joint name="ball" type="ball" pos="0 0 0.1"/>
-        <geom type="capsule" fromto="0 0 0 0.4 0 0" size="0.05" mass="1"/>
-        <body name="hand" pos="0.4 0 0" euler="0 30 20">
-          <joint name="wrist" type="hinge" axis="0 1 1" ref="20" stiffness="2" armature="0.1"/>
-          <joint name="twist" type="hinge" axis="1 0 0" frictionloss="0.2"/>
-          <geom type="box" size="0.1 0.02 0.05" mass="0.5"/></body></body></body>
-    <body name="ball_free" pos="1 0 1"><freejoint name="free"/>
-      <geom type="sphere" size="0.1" mass="0.2"/></body>
-  </worldbody>
-  <keyframe><key name="home" qpos="0.1 0.2 0.3  1 0 0 0  0.4 0.5  1 0 1 1 0 0 0"/></keyframe>
-</mujoco>"""
-MJCF_WITH_ACTUATORS = """<mujoco><compiler angle="radian"/><option gravity="0.3 0 -9.81"/><worldbody>
-  <body name="b1"><joint name="j1" axis="0 1 0" ref="0.3"/><geom type="box" size="0.2 0.1 0.05" pos="0.2 0 0" mass="2"/>
-    <body name="b2" pos="0.4 0 0"><joint name="j2" axis="0 0 1" actuatorfrcrange="-3 3"/>
-      <geom type="box" size="0.1 0.1 0.05" pos="0.1 0 0" mass="1"/>
-      <body name="b3" pos="0.2 0 0.1"><joint name="j3" type="slide" axis="1 0 1"/>
-        <geom type="box" size="0.1 0.05 0.05" mass="0.5"/>
-        <body name="b4" pos="0.1 0 0"><joint name="j4" axis="1 0 0" damping="0.1" armature="0.02"/>
-          <geom type="box" size="0.1 0.05 0.07" pos="0 0.1 0" mass="0.5"/>
-          <body name="b5" pos="0.1 0 0"><joint name="j5" axis="1 1 0"/>
-            <geom type="box" size="0.1 0.05 0.07" pos="0 0.1 0" mass="0.5"/></body></body></body></body></body>
-  <body name="f1" pos="0 1 0"><joint name="k1" axis="0 0 1" ref="0.2"/>
-    <geom type="box" size="0.1 0.05 0.07" pos="0 0.1 0" mass="0.5"/></body>
-  <body name="f2" pos="0 2 0"><joint name="k2" axis="0 0 1"/>
-    <geom type="box" size="0.1 0.05 0.07" pos="0 0.1 0" mass="0.5"/></body></worldbody>
-<equality><joint joint1="k2" joint2="k1" polycoef="0.1 -0.6 0 0 0"/></equality>
-<tendon><fixed name="split"><joint joint="k1" coef="0.5"/><joint joint="k2" coef="0.7"/></fixed>
-  <fixed name="one"><joint joint="j5" coef="-2"/></fixed>
-  <fixed name="two"><joint joint="j2" coef="1"/><joint joint="j5" coef="-2"/></fixed></tendon>
-<actuator>
-  <position name="p1" joint="j1" kp="20" dampratio="0.7" gear="1.5" ctrlrange="-1 1"/>
-  <position name="p2" joint="j2" kp="30" kv="2"/>
-  <velocity name="v3" joint="j3" kv="4" gear="-2" forcerange="-1.5 1.5"/>
-  <motor name="m3" joint="j3" gear="3" ctrlrange="-1 1" forcerange="-0.6 2"/>
-  <general name="g4" joint="j4" gear="2" gainprm="3 0.2 -0.1" gaintype="affine" biastype="affine"
-    biasprm="0.4 -3 -0.2" armature="0.01" damping="0.3"/>
-  <intvelocity name="i5" tendon="one" kp="5"/>
-  <general name="f5" joint="j5" dyntype="filterexact" dynprm="0.2" gainprm="2"/>
-  <position name="grip" tendon="split" kp="40" kv="1" gear="2"/>
-  <motor name="m1" joint="j1" ctrlrange="-2 3" gear="0.5"/>
-</actuator>
-<keyframe><key name="k" qpos="0.3 0 0 0 0 0.2 0.1" act="0.35 0.7"
-  ctrl="0.4 -0.3 0.2 -0.9 0.8 0 0.7 0.6 0.5"/></keyframe></mujoco>"""
-MIMIC_URDF = """<robot name="hand">
-  <link name="base"/>{links}
-  <joint name="drive" type="continuous"><parent link="base"/><child link="a"/><axis xyz="0 1 0"/></joint>
-  <joint name="near" type="continuous"><parent link="a"/><child link="b"/><origin xyz="0.1 0 0"/>
-    <axis xyz="0 0.6 0.8"/><mimic joint="drive" multiplier="-1.3" offset="0.2"/></joint>
-  <joint name="far" type="prismatic"><parent link="b"/><child link="c"/><origin rpy="0.2 0.3 0"/>
-    <axis xyz="1 0 0"/><limit effort="1" velocity="1" lower="-1" upper="1"/>
-    <mimic joint="near" multiplier="0.05"/></joint>
-</robot>"""
+MJCF_WITH_ALL_JOINTS = text_of("mjcf_with_all_joints.xml")
+MJCF_WITH_ACTUATORS = text_of("mjcf_with_actuators.xml")
+MIMIC_URDF = text_of("hand.urdf")
 
 
 def mimic_urdf(folder):
@@ -340,5 +182,5 @@ def mimic_urdf(folder):
         f'<link name="{name}">{inertial.format(mass)}</link>' for name, mass in (("a", 1.5), ("b", 0.7), ("c", 0.4))
     )
     path = folder / "hand.urdf"
-    path.write_text(MIMIC_URDF.format(links=links))
+    path.write_text(filled(MIMIC_URDF, links=links))
     return path

@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from scene_files import text_of
 
 from liegroup_core import Simulation
 from liegroup_core.forces.commands import TARGET, Command
@@ -12,17 +13,7 @@ from liegroup_core.joints.limits import SPEED, BeyondLimits
 from liegroup_core.joints.motion import extremes, peak_rate, through
 from liegroup_core.scene.load import scene_from_text
 
-SCENE = """
-name: rig
-gravity: [0, 0, 0]
-bodies:
-  - {name: wheel, mass: 2, inertia: [1, 1, 0.5]}
-  - {name: slide, mass: 1, inertia: [1, 1, 1], position: [9, 0, 0]}
-joints:
-  - {name: free, type: revolute, parent: world, child: wheel, child_frame: {}, driven: true}
-  - {name: rail, type: prismatic, parent: world, child: slide, child_frame: {axis: [1, 0, 0]}, driven: true,
-     data: {lower: -0.5, upper: 2.0, velocity: 3.0, effort: 0.0}}
-"""
+SCENE = text_of("rig_command_limits.yaml")
 
 
 @pytest.fixture(scope="module")
@@ -125,21 +116,7 @@ def test_limits_of_the_scene_and_the_defaults(simulation):
     assert limits["rail"][1:] == ("m", -0.5, 2.0, 3.0, math.inf)
 
 
-SERVOS = """
-name: servos
-gravity: [0, 0, 0]
-bodies:
-  - {name: wheel, mass: 2, inertia: [1, 1, 0.5]}
-  - {name: slide, mass: 1, inertia: [1, 1, 1], position: [9, 0, 0]}
-joints:
-  - {name: hinge, type: revolute, parent: world, child: wheel, child_frame: {},
-     data: {lower: 0.5, upper: 2.0, velocity: 4.0, effort: 10.0}}
-  - {name: rail, type: prismatic, parent: world, child: slide, child_frame: {axis: [1, 0, 0]},
-     data: {lower: 0.5, upper: 2.0, velocity: 3.0, effort: 5.0}}
-forces:
-  - {name: turn, type: servo, joint: hinge, stiffness: 20, damping: 5}
-  - {name: run, type: linear_servo, joint: rail, stiffness: 0, damping: 5}
-"""
+SERVOS = text_of("servos.yaml")
 
 
 def test_a_servo_without_limits_of_position_does_not_jump_beyond_what_it_covers_in_a_second():

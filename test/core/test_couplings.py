@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from convergence import fitted_order
 from numpy.polynomial import Polynomial
+from scene_files import filled, text_of
 from scipy.integrate import solve_ivp
 
 from liegroup_core import SceneError, Simulation, SimulationError
@@ -25,97 +26,19 @@ from liegroup_core.status import TURNS_NOT_COUNTED
 EPS = 2.0**-52
 SUPPORTED = ("rkmk1", "rkmk2", "rkmk3", "rkmk4", "rkmk8", "rkmk54", "generalized_alpha", "constrained_rattle")
 
-WHEELS = """
-name: wheels
-gravity: [0, 0, 0]
-bodies:
-  - {name: a, mass: 1, inertia: [0.2, 0.2, 0.3], angular_velocity: [0, 0, 2]}
-  - {name: b, mass: 2, inertia: [0.4, 0.4, 0.5], position: [1, 0, 0], angular_velocity: [0, 0, -1.4]}
-joints:
-  - {name: ja, type: revolute, parent: world, child: a, child_frame: {}}
-  - {name: jb, type: revolute, parent: world, child: b, child_frame: {}}
-couplings:
-  - {name: mesh, joint: jb, other: ja, ratio: -0.7}
-forces:
-  - {name: m, type: motor, joint: ja, torque: 0.25}
-"""
+WHEELS = text_of("wheels_couplings.yaml")
 # A pinion that drives a rack by -0.1 m/rad; the rail is along an axis in space, or in the plane.
-RACK = """
-name: rack
-gravity: [0, -9.81, 0]
-bodies:
-  - {{name: pinion, mass: 1, inertia: [0.2, 0.2, 0.3], angular_velocity: [0, 0, 2]}}
-  - {{name: rack, mass: 2, inertia: [0.4, 0.4, 0.5], position: [0, -0.5, 0], linear_velocity: {speed}}}
-joints:
-  - {{name: axle, type: revolute, parent: world, child: pinion, child_frame: {{}}}}
-  - {{name: rail, type: prismatic, parent: world, child: rack, child_frame: {{axis: {axis}}}}}
-couplings:
-  - {{name: mesh, joint: {joint}, other: {other}, ratio: {ratio}, offset: 0}}
-forces:
-  - {{name: m, type: motor, joint: axle, torque: 1}}
-"""
-FIVE_BAR = """
-name: five_bar
-gravity: [0, -9.81, 0]
-assemble: true
-bodies:
-  - {name: c1, mass: 1, inertia: [0.02, 0.02, 0.03], com: [0.25, 0, 0], rotation_vector: [0, 0, 2]}
-  - {name: c2, mass: 1, inertia: [0.02, 0.02, 0.03], com: [0.25, 0, 0], position: [1, 0, 0],
-     rotation_vector: [0, 0, 1]}
-  - {name: l1, mass: 1, inertia: [0.02, 0.02, 0.03], com: [0.5, 0, 0], position: [-0.2, 0.45, 0],
-     rotation_vector: [0, 0, 0.6]}
-  - {name: l2, mass: 1, inertia: [0.02, 0.02, 0.03], com: [0.5, 0, 0], position: [1.2, 0.45, 0],
-     rotation_vector: [0, 0, 2.3]}
-joints:
-  - {name: a, type: revolute, parent: world, child: c1, parent_frame: {}, child_frame: {}, rate: 3}
-  - {name: b, type: revolute, parent: world, child: c2, parent_frame: {position: [1, 0, 0]}, child_frame: {}}
-  - {name: c, type: revolute, parent: c1, child: l1, parent_frame: {position: [0.5, 0, 0]}, child_frame: {}}
-  - {name: d, type: revolute, parent: c2, child: l2, parent_frame: {position: [0.5, 0, 0]}, child_frame: {}}
-  - {name: e, type: revolute, parent: l1, child: l2, parent_frame: {position: [1, 0, 0]},
-     child_frame: {position: [1, 0, 0]}}
-couplings:
-  - {name: mesh, joint: b, other: a, ratio: 0.5, offset: 0.2}
-"""
+RACK = text_of("rack_couplings.yaml")
+FIVE_BAR = text_of("five_bar.yaml")
 # A lever, or a sled, that lifts a follower on a spring along its profile.
-CAM = """
-name: cam
-gravity: [0, 0, -9.81]
-assemble: true
-bodies:
-  - {{name: lever, mass: 1.5, inertia: [0.02, 0.03, 0.025], com: [0.1, 0, 0]}}
-  - {{name: follower, mass: 0.8, inertia: [0.01, 0.01, 0.01], position: [1, 0, 0]}}
-joints:
-  - {{name: lift, type: prismatic, parent: world, child: follower, parent_frame: {{position: [1, 0, 0]}},
-     child_frame: {{}}}}
-  - {{name: ja, type: {kind}, parent: world, child: lever, parent_frame: {{axis: [0, 1, 0]}},
-     child_frame: {{axis: [0, 1, 0]}}, coordinate: 0.6, rate: 1.2}}
-couplings:
-  - {{name: profile, joint: lift, other: ja, ratio: 0.1, offset: 0.05, curve: {curve}}}
-forces:
-  - {{name: spring, type: linear_spring_damper, joint: lift, stiffness: 30, rest_position: -0.1, damping: 0}}
-"""
+CAM = text_of("cam_couplings.yaml")
 # The second of three slides follows the square of the first, the third that of the second; both say x^4.
-POWERS = """
-name: powers
-gravity: [0, 0, 0]
-bodies:
-  - {name: a, mass: 1, inertia: [0.1, 0.1, 0.2], position: [0.5, 0, 0], linear_velocity: [1, 0, 0]}
-  - {name: b, mass: 1, inertia: [0.1, 0.1, 0.2], position: [0.25, 0, 0], linear_velocity: [1, 0, 0]}
-  - {name: c, mass: 1, inertia: [0.1, 0.1, 0.2], position: [0.0625, 0, 0], linear_velocity: [0.5, 0, 0]}
-joints:
-  - {name: x, type: prismatic, parent: world, child: a, parent_frame: &x {axis: [1, 0, 0]}, child_frame: *x}
-  - {name: y, type: prismatic, parent: world, child: b, parent_frame: *x, child_frame: *x}
-  - {name: z, type: prismatic, parent: world, child: c, parent_frame: *x, child_frame: *x}
-couplings:
-  - {name: xy, joint: y, other: x, ratio: 0, curve: [1], offset: 0}
-  - {name: yz, joint: z, other: y, ratio: 0, curve: [1]}
-  - {name: xz, joint: z, other: x, ratio: 0, curve: [0, 0, 1]}
-"""
+POWERS = text_of("powers.yaml")
 QUADRATIC, QUARTIC = [0.2], [0.2, -0.05, 0.03]
 
 
 def cam(kind, curve):
-    return scene_from_text(CAM.format(kind=kind, curve=curve))
+    return scene_from_text(filled(CAM, kind=kind, curve=curve))
 
 
 def cam_motion(kind, curve, time):
@@ -142,19 +65,7 @@ def cam_motion(kind, curve, time):
 def two_pendulums(ratio, bolt=False):
     """Pendulums on axes that are not parallel, coupled; bolt: the second moves along its axis too."""
     kind = "type: screw, pitch: 0.3" if bolt else "type: revolute"
-    return scene_from_text(f"""
-name: pendulums
-gravity: [0, 0, -9.81]
-bodies:
-  - {{name: a, mass: 1.5, inertia: [0.2, 0.3, 0.25], com: [0.4, 0, 0]}}
-  - {{name: b, mass: 0.8, inertia: [0.1, 0.12, 0.15], com: [0.3, 0, 0], position: [0, 2, 0],
-     rotation_vector: [0.4, 0, 0]}}
-joints:
-  - {{name: ja, type: revolute, parent: world, child: a, child_frame: {{axis: [0, 1, 0]}}}}
-  - {{name: jb, {kind}, parent: world, child: b, child_frame: {{axis: [0, 1, 0]}}}}
-couplings:
-  - {{name: mesh, joint: jb, other: ja, ratio: {ratio}}}
-""")
+    return scene_from_text(filled(text_of("pendulums_couplings.yaml"), kind=kind, ratio=ratio))
 
 
 def pendulum_motion(ratio, time, bolt=False):
@@ -207,7 +118,7 @@ def test_a_pinion_drives_its_rack(axis, first):
     way = -0.1
     pair = ("rail", "axle", way) if first == "rail" else ("axle", "rail", 1 / way)
     speed = [2 * way * part for part in axis]
-    text = RACK.format(axis=axis, speed=speed, joint=pair[0], other=pair[1], ratio=pair[2])
+    text = filled(RACK, axis=axis, speed=speed, joint=pair[0], other=pair[1], ratio=pair[2])
     simulation = Simulation(scene_from_text(text), "rkmk4", 0.01)
     assert (simulation.layout.normal is None) == (axis[2] != 0)
     simulation.advance(1000)
@@ -381,7 +292,7 @@ def test_assembly_satisfies_couplings():
 
 def test_assembly_satisfies_curves():
     """The lever follows a given height of its follower; a height below the profile gives the nearest one."""
-    text = CAM.format(kind="revolute", curve=QUADRATIC).replace(", coordinate: 0.6, rate: 1.2", "")
+    text = filled(CAM, kind="revolute", curve=QUADRATIC).replace(", coordinate: 0.6, rate: 1.2", "")
     text = text.replace("child_frame: {}}", "child_frame: {}, coordinate: 0.3, rate: 0.5}")
     q = make_layout(scene_from_text(text)).sample(*_start(scene_from_text(text))).joint_coordinates
     root = (-0.1 + math.sqrt(0.01 + 0.8 * 0.25)) / 0.4
@@ -392,7 +303,7 @@ def test_assembly_satisfies_curves():
 
 
 def test_a_follower_cannot_be_driven_below_its_profile():
-    text = CAM.format(kind="revolute", curve=QUADRATIC).replace("name: lift,", "name: lift, driven: true,", 1)
+    text = filled(CAM, kind="revolute", curve=QUADRATIC).replace("name: lift,", "name: lift, driven: true,", 1)
     simulation = Simulation(scene_from_text(text.replace("rate: 1.2", "rate: -0.5")), "rkmk4", 2e-3, quiet=True)
     with pytest.raises(SimulationError, match="beyond their reach: 'lift' at 0.037"):
         simulation.advance(1000)
@@ -453,27 +364,6 @@ def test_momentum_is_not_said_to_be_kept():
     assert facts["groups"] == [["a", "b"]]
 
 
-@pytest.mark.parametrize(
-    "old, new, message",
-    [
-        ("joint: jb, o", "joint: jd, o", r'wheels:11: couplings\[0\] "mesh": joint \'jd\' is not a joint'),
-        ("other: ja, r", "other: jb, r", 'joint and other are both "jb"'),
-        ("name: mesh", "name: ja", "already used by joints"),
-        ("ratio: -0.7", "ratio: -0.8", "violated at the start by .* rad/s"),
-        ("ratio: -0.7", "ratio: -0.7, offset: 0.3", "violated at the start by -0.3 rad"),
-        ("ratio: -0.7", "ratio: .nan", "ratio must be"),
-        ("ratio: -0.7", "ratio: -0.7, offset: 0, curve: [0, .inf]", r"curve\[1\] must be finite"),
-        ("ratio: -0.7", "ratio: -0.7, curve: [1, 2, 3, 4]", r"curve must have at most 3 numbers"),
-        ("ratio: -0.7", "ratio: -0.6, offset: 0.3, curve: [0.1]", "violated at the start by -0.3 rad and -0.2 rad/s"),
-        ("jb, type: revolute", "jb, type: cylindrical", 'joint "jb" is cylindrical'),
-    ],
-)
-def test_wrong_couplings_are_refused(old, new, message):
-    assert old in WHEELS
-    with pytest.raises(SceneError, match=message):
-        make_layout(scene_from_text(WHEELS.replace(old, new), "wheels"))
-
-
 def test_all_joints_of_a_loop_cannot_be_coupled():
     """A square of four hinges, at rest."""
     bodies = ["left", "top", "right"]
@@ -525,25 +415,7 @@ def test_plain_python_gives_the_same_numbers():
 
 
 # Three wheels on one axis, or on three: a train with the coefficients of PLANETARY or DIFFERENTIAL.
-TRAIN = """
-name: train
-gravity: [0, 0, 0]
-assemble: true
-bodies:
-  - {{name: s, mass: 1, inertia: [0.2, 0.2, 0.3]}}
-  - {{name: c, mass: 1, inertia: [0.4, 0.4, 0.7]}}
-  - {{name: r, mass: 2, inertia: [0.4, 0.4, 0.5]}}
-joints:
-  - {{name: sun, type: revolute, parent: world, child: s, parent_frame: {{}}, child_frame: {{}}, rate: 3}}
-  - {{name: carrier, type: revolute, parent: world, child: c, parent_frame: &f {{axis: {axis}}}, child_frame: *f,
-     rate: 1}}
-  - {{name: ring, type: revolute, parent: world, child: r, parent_frame: {{}}, child_frame: {{}}}}
-couplings:
-  - {{name: train, joint: sun, other: carrier, ratio: {ratio}, terms: {{ring: {further}}}}}
-forces:
-  - {{name: m, type: motor, joint: sun, torque: 0.25}}
-  - {{name: load, type: motor, joint: carrier, torque: -0.4}}
-"""
+TRAIN = text_of("train.yaml")
 
 
 @pytest.mark.parametrize("method", ["rkmk4", "generalized_alpha", "constrained_rattle"])
@@ -553,7 +425,7 @@ def test_planetary_gears_and_differentials_move_as_willis_says(method, axis, rat
 
     About 50 turns: angles have errors of steps times EPS times the angle, 3000 * 300 EPS = 2e-10.
     """
-    scene = scene_from_text(TRAIN.format(axis=axis, ratio=ratio, further=further))
+    scene = scene_from_text(filled(TRAIN, axis=axis, ratio=ratio, further=further))
     simulation = Simulation(scene, method, 0.01)
     start = simulation.sample().joint_coordinates
     simulation.advance(3000)

@@ -5,6 +5,7 @@ import mechanisms
 import mujoco
 import numpy as np
 import pytest
+from scene_files import text_of
 
 from liegroup_core import Simulation, load_scene
 from liegroup_core.describe import describe, solve_structure
@@ -62,12 +63,7 @@ def test_a_motion_that_leaves_the_range_of_its_points_is_a_note(caplog):
         assert [record.getMessage() for record in caplog.records if "overshoots" in record.getMessage()] == notes
 
 
-LINKS = """<mujoco><compiler angle="radian"/><worldbody>
-  <body name="base" pos="0.1 -0.2 0.3" euler="0.2 0.3 -0.5"><freejoint/>
-    <geom type="box" size="0.1 0.2 0.05" pos="0.3 0 0.1" euler="0.4 0.5 0.6" mass="2.5"/>
-    <body name="arm" pos="0 0.4 0.1" euler="0.7 0 0.1"><joint name="j" axis="1 0 0"/>
-      <geom type="sphere" size="0.1" pos="0 0.2 0" mass="0.7"/><geom type="capsule" size="0.03 0.2" mass="0.4"/>
-    </body></body></worldbody></mujoco>"""
+LINKS = text_of("links.xml")
 
 
 def test_total_mass_centre_of_mass_and_extents(tmp_path):

@@ -4,34 +4,14 @@
 import math
 
 import pytest
+from scene_files import text_of
 
 from liegroup_core import Simulation, load_scene
 from liegroup_core.scene.load import scene_from_text
 
 # Two flywheels on one tilted axis, the angle of one unwrapped by a spring without stiffness, and a
 # slider along another axis. Without gravity all rates are constant.
-SCENE = """
-name: wheels
-gravity: [0, 0, 0]
-bodies:
-  - {name: counted, mass: 1.0, inertia: [0.2, 0.2, 0.3],
-     rotation_vector: [0, 0.3, 0], angular_velocity: [0, 0, 7.0], linear_velocity: [0, 0, 0]}
-  - {name: wrapped, mass: 1.0, inertia: [0.2, 0.2, 0.3], rotation_vector: [0, 0.3, 0],
-     angular_velocity: [0, 0, -7.0]}
-  - {name: sled, mass: 2.0, inertia: [0.1, 0.1, 0.1], position: [0, 2, 0],
-     linear_velocity: [1.5, 0, 0]}
-joints:
-  - {name: hinge, type: revolute, parent: world, child: counted,
-     child_frame: {position: [0, 0, 0]}}
-  - {name: axle, type: revolute, parent: counted, child: wrapped,
-     parent_frame: {position: [0, 0, 0]}}
-  - {name: rail, type: prismatic, parent: world, child: sled,
-     parent_frame: {position: [0.5, 2, 0], axis: [1, 0, 0]}, child_frame: {axis: [1, 0, 0]}}
-  - {name: ball, type: spherical, parent: world, child: wrapped,
-     child_frame: {position: [0, 0, 0]}}
-forces:
-  - {name: counter, type: torsional_spring_damper, joint: hinge, stiffness: 0.0}
-"""
+SCENE = text_of("wheels_joint_coordinates.yaml")
 
 
 def test_steady_motion_has_the_closed_form():

@@ -3,60 +3,18 @@
 
 import numpy as np
 import pytest
+from scene_files import text_of
 
 from liegroup_core import Simulation, load_scene
 from liegroup_core.scene.load import scene_from_text
 
 # A body of no symmetry on a tilted hinge away from its centre of mass; no gravity.
-HINGE = """
-name: hinge
-gravity: [0, 0, 0]
-bodies:
-  - {name: arm, mass: 2.0, inertia: [0.3, 0.4, 0.5, 0.05, 0.02, -0.03], com: [0.1, 0.05, 0.02],
-     position: [0.6, 0.1, 0.2], rotation_vector: [0.3, -0.2, 0.5]}
-joints:
-  - {name: hinge, type: revolute, parent: world, child: arm,
-     parent_frame: {position: [0.2, 0.3, -0.1], axis: [1, 2, 2]}}
-"""
-RAIL = """
-name: rail
-gravity: [1.0, 0, -9.81]
-bodies:
-  - {name: sledge, mass: 3.0, inertia: [0.3, 0.4, 0.5], com: [0.1, 0.2, 0], position: [1, 0, 0]}
-joints:
-  - {name: rail, type: prismatic, parent: world, child: sledge,
-     parent_frame: {position: [0, 2, 0], axis: [2, -1, 2]}}
-"""
+HINGE = text_of("hinge.yaml")
+RAIL = text_of("rail_joint_efforts.yaml")
 # Bodies that float, with an arm that turns and slides, and a nut: reactions act on every parent.
-FLOATING = """
-name: floating
-gravity: [0, 0, 0]
-bodies:
-  - {name: hull, mass: 4.0, inertia: [0.5, 0.6, 0.7], com: [0.1, 0, 0.05]}
-  - {name: arm, mass: 1.0, inertia: [0.1, 0.12, 0.05], com: [0, 0.1, 0], position: [0.5, 0.2, 0]}
-  - {name: hand, mass: 0.5, inertia: [0.02, 0.03, 0.04], position: [1.0, 0.3, 0.2]}
-  - {name: nut, mass: 0.8, inertia: [0.02, 0.03, 0.04], com: [0.05, 0.02, 0], position: [-0.4, 0.2, 0.1]}
-joints:
-  - {name: shoulder, type: revolute, parent: hull, child: arm,
-     parent_frame: {position: [0.3, 0.1, 0], axis: [1, 1, 3]}}
-  - {name: slide, type: prismatic, parent: arm, child: hand,
-     parent_frame: {position: [0.2, 0.1, 0.1], axis: [1, 0.2, 0]}}
-  - {name: thread, type: screw, pitch: -0.3, parent: hull, child: nut,
-     parent_frame: {position: [-0.4, 0.1, 0], axis: [1, -2, 0.5]}}
-"""
+FLOATING = text_of("floating.yaml")
 # A nut that was turned by 1.3 rad and three turns from where its thread begins.
-NUT = """
-name: nut
-gravity: [1.0, 0, -9.81]
-bodies:
-  - {name: nut, mass: 1.5, inertia: [0.01, 0.02, 0.012], position: [0, 2, 1.0],
-     angular_velocity: [0, 0, 4.0], linear_velocity: [0, 0, 0.2]}
-joints:
-  - {name: thread, type: screw, pitch: 0.05, parent: world, child: nut, child_frame: {},
-     parent_frame: {position: [0, 2, %r], rotation_vector: [0, 0, -1.3]}}
-sensors:
-  - {name: encoder, type: encoder, joint: thread}
-"""
+NUT = text_of("nut.yaml")
 ONE_OF_EACH = [
     ("rkmk4", "relative"),
     ("rkmk4", "se3"),

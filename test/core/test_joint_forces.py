@@ -5,34 +5,12 @@ import math
 
 import numpy as np
 import pytest
+from scene_files import text_of
 
 from liegroup_core import Simulation
 from liegroup_core.scene import scene_from_text
 
-SCENE = """
-name: drives
-gravity: [0, 0, -9.81]
-bodies:
-  - {name: arm, mass: 2, inertia: [0.1, 0.3, 0.3], com: [0.5, 0, 0], angular_velocity: [0, 2, 0]}
-  - {name: cart, mass: 3, inertia: [1, 1, 1], position: [0, 5, 0], linear_velocity: [0.3, 0, 0]}
-  - {name: nut, mass: 1, inertia: [0.1, 0.1, 0.2], position: [0, 9, 0], angular_velocity: [0, 0, 3],
-     linear_velocity: [0, 0, 0.6]}
-joints:
-  - {name: hinge, type: revolute, parent: world, child: arm, child_frame: {axis: [0, 1, 0]}}
-  - {name: rail, type: prismatic, parent: world, child: cart, child_frame: {axis: [1, 0, 0]}}
-  - {name: bolt, type: screw, pitch: 0.2, parent: world, child: nut, child_frame: {}}
-forces:
-  - {name: wire, type: spring_damper, parent: world, child: arm, stiffness: 9, rest_length: 0.1,
-     parent_point: [1, 0, 1], child_point: [0.9, 0, 0]}
-  - {name: linear, type: linear_motor, joint: rail, force: -4, speed_limit: 8}
-  - {name: torsion, type: torsional_spring_damper, joint: hinge, stiffness: 7, damping: 0.4, rest_angle: 0.3}
-  - {name: motor, type: motor, joint: hinge, torque: 5, rate_limit: 20}
-  - {name: coil, type: torsional_spring_damper, joint: bolt, stiffness: 0.6, damping: 0.1}
-  - {name: twister, type: motor, joint: bolt, torque: 0.7}
-  - {name: pusher, type: linear_spring_damper, joint: bolt, stiffness: 30, damping: 2, rest_position: 0.1}
-  - {name: servo, type: servo, joint: hinge, stiffness: 40, damping: 3, position: 0.5, effort_limit: 25}
-  - {name: buffer, type: linear_spring_damper, joint: rail, stiffness: 11, damping: 1.5, rest_position: 0.2}
-"""
+SCENE = text_of("drives.yaml")
 
 
 @pytest.fixture(scope="module")

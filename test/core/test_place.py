@@ -4,6 +4,7 @@
 import numpy as np
 import pytest
 from engine import rows
+from scene_files import text_of
 
 from liegroup_core import Simulation
 from liegroup_core.engine import Engine
@@ -12,13 +13,7 @@ from liegroup_core.joints.limits import BeyondLimits
 from liegroup_core.lie.groups import SE3, SO3
 from liegroup_core.scene.load import load_scene, scene_from_text
 
-FREE = """
-name: two
-gravity: [0, 0, -9.81]
-bodies:
-  - {name: near, mass: 1, inertia: [1, 2, 3], com: [0.1, 0, 0.2], angular_velocity: [0, 1, 2]}
-  - {name: far, mass: 1, inertia: [1, 1, 2], position: [5, 0, 0], angular_velocity: [1, 2, 3]}
-"""
+FREE = text_of("two.yaml")
 
 
 def pose(rotation, position):
@@ -145,28 +140,7 @@ def test_the_estimate_starts_again():
     assert np.isfinite(simulation.largest_error)
 
 
-ARM = """
-name: arm
-gravity: [0, 0, -9.81]
-bodies:
-  - {name: base, mass: 3, inertia: [1, 2, 2.5], position: [1, 2, 3], rotation_vector: [0.2, 0.1, 0],
-     angular_velocity: [0.3, -0.1, 0.2], linear_velocity: [1, 0, 0.5]}
-  - {name: upper, mass: 1, inertia: [0.1, 0.2, 0.2], com: [0.25, 0, 0.1]}
-  - {name: lower, mass: 1, inertia: [0.1, 0.2, 0.2], com: [0.2, 0, 0]}
-  - {name: nut, mass: 0.5, inertia: [0.1, 0.1, 0.1]}
-  - {name: stone, mass: 1, inertia: [1, 1, 1], position: [9, 9, 9]}
-joints:
-  - {name: shoulder, type: revolute, parent: base, child: upper,
-     parent_frame: {position: [0, 0.1, 0], axis: [0, 1, 0]}, child_frame: {axis: [0, 1, 0]}}
-  - {name: rail, type: prismatic, parent: lower, child: upper,
-     parent_frame: {position: [-0.2, 0, 0], axis: [1, 0, 1]},
-     child_frame: {position: [0.5, 0, 0], axis: [1, 0, 1]}}
-  - {name: bolt, type: screw, pitch: 0.02, parent: lower, child: nut,
-     parent_frame: {position: [0.3, 0, 0]}, child_frame: {}}
-forces:
-  - {name: spring, type: torsional_spring_damper, joint: shoulder, stiffness: 1}
-assemble: true
-"""
+ARM = text_of("arm_place.yaml")
 
 
 @pytest.mark.parametrize("group", ["relative", "se3"])
@@ -255,25 +229,7 @@ def test_a_driven_joint_keeps_the_turns_that_it_is_given():
     assert simulation.sample().prescribed["elbow"][:2] == pytest.approx((7.0, 0.0), abs=1e-12)
 
 
-CARRIED = """
-name: carried
-gravity: [0, 0, -9.81]
-bodies:
-  - {name: upper, mass: 3, inertia: [0.05, 0.2, 0.2], position: [0.4, 0, 0]}
-  - {name: lower, mass: 2, inertia: [0.02, 0.1, 0.1], position: [1.1, 0, 0]}
-  - {name: tip, mass: 1, inertia: [0.01, 0.02, 0.02], position: [1.5, 0, 0]}
-joints:
-  - {name: shoulder, type: revolute, parent: world, child: upper,
-     parent_frame: {axis: [0, 1, 0]}, child_frame: {position: [-0.4, 0, 0], axis: [0, 1, 0]}}
-  - {name: elbow, type: revolute, parent: upper, child: lower, driven: true,
-     parent_frame: {position: [0.4, 0, 0], axis: [0, 1, 0]},
-     child_frame: {position: [-0.3, 0, 0], axis: [0, 1, 0]},
-     motion: {times: [0, 1], positions: [0, 0.5]}}
-  - {name: wrist, type: revolute, parent: lower, child: tip, driven: true, rate: 2,
-     parent_frame: {position: [0.3, 0, 0], axis: [1, 0, 0]},
-     child_frame: {position: [-0.1, 0, 0], axis: [1, 0, 0]}}
-assemble: true
-"""
+CARRIED = text_of("carried.yaml")
 
 
 def test_driven_joints_keep_their_rates_unless_a_twist_that_is_given_prevents_it():
@@ -296,18 +252,7 @@ def test_driven_joints_keep_their_rates_unless_a_twist_that_is_given_prevents_it
     assert engine.sample().prescribed["wrist"][1] == pytest.approx(2.0, abs=1e-12)
 
 
-GEARS = """
-name: gears
-gravity: [0, 0, 0]
-bodies:
-  - {name: a, mass: 1, inertia: [0.2, 0.2, 0.3], angular_velocity: [0, 0, 20]}
-  - {name: b, mass: 2, inertia: [0.4, 0.4, 0.5], position: [1, 0, 0], angular_velocity: [0, 0, -14]}
-joints:
-  - {name: ja, type: revolute, parent: world, child: a, child_frame: {}}
-  - {name: jb, type: revolute, parent: world, child: b, child_frame: {}}
-couplings:
-  - {name: mesh, joint: jb, other: ja, ratio: -0.7}
-"""
+GEARS = text_of("gears_place.yaml")
 
 
 def test_gears_keep_their_turns_and_follow_in_both_directions():
@@ -353,16 +298,7 @@ def test_a_position_that_no_step_reaches_is_refused_and_nothing_changes():
     assert all(np.array_equal(old, new) for old, new in zip(before, engine.state()))
 
 
-ROTOR = """
-name: rotor
-gravity: [0, 0, 0]
-bodies:
-  - {name: rotor, mass: 1, inertia: [1, 1, 1], angular_velocity: [0, 0, 20]}
-  - {name: stone, mass: 1, inertia: [1, 1, 1], position: [9, 9, 9]}
-joints:
-  - {name: axle, type: revolute, parent: world, child: rotor, parent_frame: {}, child_frame: {},
-     limits: {lower: -50.3, upper: 50.3, restitution: 0.5}}
-"""
+ROTOR = text_of("rotor_place.yaml")
 SPRING = "forces: [{name: s, type: torsional_spring_damper, joint: axle, stiffness: 0}]\n"
 # The gear pair has two rotors of the same inertia: that of the other one at twice the speed counts fourfold.
 GEARED = (
@@ -427,14 +363,7 @@ def test_joints_that_are_not_given_stay_in_their_turns(text):
 
 def test_limits_of_commands_hold_for_states_that_are_set():
     """As for joint commands: given positions and velocities, and joints that poses would move beyond their limits."""
-    text = """
-name: lamp
-gravity: [0, 0, 0]
-bodies: [{name: arm, mass: 1, inertia: [0.1, 0.1, 0.1]}]
-joints: [{name: hinge, type: revolute, parent: world, child: arm, parent_frame: {axis: [0, 0, 1]},
-          child_frame: {axis: [0, 0, 1]},
-          data: {lower: 4.0, upper: 6.0, velocity: 2.0}}]
-"""
+    text = text_of("lamp_place.yaml")
     engine = Engine(scene_from_text(text.replace("data", "coordinate: 5.0, data") + "assemble: true\n"), "rkmk4", 1e-3)
     turned = np.eye(4)
     turned[:2, :2] = [[np.cos(2.0), -np.sin(2.0)], [np.sin(2.0), np.cos(2.0)]]
@@ -455,18 +384,7 @@ joints: [{name: hinge, type: revolute, parent: world, child: arm, parent_frame: 
     outside.place(twists={"arm": [0, 0, 1, 0, 0, 0]})
 
 
-RACK = """
-name: rack
-gravity: [0, 0, 0]
-bodies:
-  - {name: wheel, mass: 1, inertia: [0.1, 0.1, 0.1]}
-  - {name: bar, mass: 1, inertia: [0.1, 0.1, 0.1], position: [0, 1, 0]}
-joints:
-  - {name: turn, type: revolute, parent: world, child: wheel, child_frame: {position: [0, 0, 0]}}
-  - {name: slide, type: prismatic, parent: world, child: bar, child_frame: {position: [0, 0, 0], axis: [1, 0, 0]}}
-couplings:
-  - {name: rack, joint: slide, other: turn, ratio: 0.1, backlash: {gap: 0.02, restitution: 0.5}}
-"""
+RACK = text_of("rack_place.yaml")
 
 
 def test_a_coupling_with_play_keeps_its_turns():

@@ -4,6 +4,7 @@
 import numpy as np
 import pytest
 from robot_texts import ARM_SDF, ARM_URDF, bar, written
+from scene_files import filled, text_of
 from scipy.integrate import solve_ivp
 
 from liegroup_core import SceneError, Simulation, load_scene
@@ -145,25 +146,12 @@ def test_package_addresses(tmp_path, monkeypatch):
         assert found == (folder and folder / "part.stl")
 
 
-FOUR_BAR = """<mujoco><option gravity="0 -9.81 0"/><worldbody>
-  <body name="crank"><joint name="a" axis="0 0 1"/>
-    <geom type="capsule" fromto="0 0 0 0 1 0" size="0.02" mass="1"/>
-    <body name="coupler" pos="0 1 0"><joint name="b" axis="0 0 1"/>
-      <geom type="capsule" fromto="0 0 0 1 0 0" size="0.02" mass="1"/></body></body>
-  <body name="rocker" pos="1 0 0"><joint name="c" axis="0 0 1"/>
-    <geom type="capsule" fromto="0 0 0 0 1 0" size="0.02" mass="1"/></body>
-  <body name="weight" pos="0 1.2 0"><freejoint/><geom type="sphere" size="0.1" mass="0.5"/></body>
-  </worldbody>
-  <equality>
-    <connect name="pin" body1="rocker" body2="coupler" anchor="0 1 0"/>
-    <weld name="glue" body1="crank" body2="weight"/>
-    {more}
-  </equality></mujoco>"""
+FOUR_BAR = text_of("four_bar.xml")
 
 
 @pytest.mark.turn(3)
 def test_loops_and_welds_of_mjcf(tmp_path):
-    path = written(tmp_path / "four_bar.xml", FOUR_BAR.format(more=""))
+    path = written(tmp_path / "four_bar.xml", filled(FOUR_BAR, more=""))
     simulation = Simulation(load_scene(path), "rkmk4", 1e-3)
     assert freedoms(simulation) == 1
     start = simulation.energy()
@@ -174,7 +162,7 @@ def test_loops_and_welds_of_mjcf(tmp_path):
     assert weight[:3, 3] == pytest.approx((0, 1.2, 0), abs=1e-9)
     assert poses["coupler"] @ (1, 0, 0, 1) == pytest.approx(poses["rocker"] @ (0, 1, 0, 1), abs=1e-9)
     # A joint equality without a second joint holds the first one.
-    path.write_text(FOUR_BAR.format(more='<joint joint1="a" polycoef="0 0 0 0 0"/>'))
+    path.write_text(filled(FOUR_BAR, more='<joint joint1="a" polycoef="0 0 0 0 0"/>'))
     assert "locked: joint a at 0" in load_scene(path).notes
 
 
@@ -182,18 +170,7 @@ SRDF = """<robot name="arm"><group name="all"/><group_state name="ready" group="
   <joint name="shoulder" value="0.4"/><joint name="extend" value="-0.2"/></group_state></robot>"""
 
 
-TRAMMEL = """<mujoco><option gravity="0 0 -9.81"/><worldbody><site name="foot" pos="2 0 0"/>
-  <body name="across"><joint name="x" type="slide" axis="1 0 0"/>
-    <geom type="box" size="0.1 0.1 0.1" mass="1.5"/><site name="a" pos="0.1 0 0.1"/></body>
-  <body name="up" pos="0 0 1"><joint name="z" type="slide" axis="0 0 1"/>
-    <geom type="box" size="0.1 0.1 0.1" mass="1.5"/><site name="b" pos="0.1 0 0.1"/></body>
-  </worldbody>
-  <tendon>
-    <spatial name="rope" stiffness="7"><site site="a"/><site site="b"/></spatial>
-    <spatial name="bent"><site site="a"/><site site="b"/><site site="foot"/></spatial>
-  </tendon>
-  <equality><tendon name="rod" tendon1="{tendon}" polycoef="{longer} 0 0 0 0"/></equality>
-  <keyframe><key name="tilted" qpos="0.6 -0.2"/></keyframe></mujoco>"""
+TRAMMEL = text_of("trammel.xml")
 
 
 @pytest.mark.parametrize("longer", [0.0, 0.25])
@@ -203,7 +180,7 @@ def test_a_tendon_of_fixed_length_is_a_rod(longer, tmp_path):
     x = L cos(q), z = L sin(q). With equal masses the kinetic energy is m L^2 q'^2 / 2, so that
     q'' = -g / L cos(q), the equation of a pendulum.
     """
-    path = written(tmp_path / "trammel.xml", TRAMMEL.format(tendon="rope", longer=longer))
+    path = written(tmp_path / "trammel.xml", filled(TRAMMEL, tendon="rope", longer=longer))
     scene = scene_from_robot(path, Options(pose="tilted"))
     (rod,) = [joint for joint in scene.joints if joint.type == "distance"]
     assert rod.name == "rod" and rod.length == 1.0 + longer
@@ -231,7 +208,7 @@ def test_a_tendon_of_fixed_length_is_a_rod(longer, tmp_path):
 
 
 def test_a_bent_tendon_of_fixed_length_is_left_out(tmp_path):
-    scene = load_scene(written(tmp_path / "bent.xml", TRAMMEL.format(tendon="bent", longer=0.0)))
+    scene = load_scene(written(tmp_path / "bent.xml", filled(TRAMMEL, tendon="bent", longer=0.0)))
     assert [joint.type for joint in scene.joints] == ["prismatic", "prismatic"]
     assert "changes the motion: equality constraints of tendons, left out: rod" in scene.notes
 
@@ -371,15 +348,7 @@ def test_a_capsule_is_a_tube_with_round_ends(tmp_path):
     assert body.inertia[:3] == pytest.approx((across, across, (m * r2 / 2).sum()), rel=1e-8)
 
 
-UNUSUAL = """<sdf version="1.9"><model name="m"><self_collide>true</self_collide>
-<link name="a"><inertial><mass>1</mass><inertia><ixx>1</ixx><iyy>1</iyy><izz>1</izz></inertia><orgin/>
-<fluid_added_mass><xx>1</xx></fluid_added_mass></inertial><kinematic>true</kinematic>
-<velocity_decay><linear>0.1</linear></velocity_decay>
-<visual name="ground"><geometry><plane/></geometry></visual></link>
-<joint name="j" type="revolute"><parent>world</parent><child>a</child><physics/><origin/>
-<sensor name="touch" type="contact"/>
-<axis><xyz>0 1 0</xyz><initial_position>0.4</initial_position><dynamics dampin="1"/></axis></joint>
-</model></sdf>"""
+UNUSUAL = text_of("m_robot_formats.sdf")
 
 
 def test_what_sdf_has_and_a_scene_has_not_is_noted(tmp_path):
@@ -421,7 +390,7 @@ def test_what_acts_is_noted_as_a_change_of_the_motion_in_each_format(tmp_path):
     ]
     path = tmp_path / "swing.urdf"
     in_link = '<link name="a"><kinematic>1</kinematic><gravity>0</gravity>'  # of no reader of URDF
-    path.write_text(SWING.format(more=ON_GAZEBO).replace('<link name="a">', in_link))
+    path.write_text(filled(SWING, more=ON_GAZEBO).replace('<link name="a">', in_link))
     assert [*load_scene(path).notes] == [
         "fixed to the world: base",
         "merged into a: b",
@@ -488,16 +457,7 @@ def test_a_plugin_acts_unless_its_name_says_that_it_measures_or_waits(file, acts
     assert passive(file) is not acts
 
 
-SWING = """<robot name="swing"><link name="base"/>
-<link name="a"><inertial><origin xyz="0.1 0.3 0"/><mass value="2"/>
-  <inertia ixx="0.1" iyy="0.2" izz="0.25" ixy="0" ixz="0" iyz="0"/></inertial></link>
-<link name="b"><inertial><origin xyz="0 0.05 0"/><mass value="0.7"/>
-  <inertia ixx="0.01" iyy="0.02" izz="0.025" ixy="0" ixz="0" iyz="0"/></inertial></link>
-<link name="c"><inertial><origin xyz="0.2 0 0"/><mass value="1.1"/>
-  <inertia ixx="0.01" iyy="0.02" izz="0.025" ixy="0" ixz="0" iyz="0"/></inertial></link>
-<joint name="j" type="continuous"><parent link="base"/><child link="a"/><axis xyz="1 0.2 0"/></joint>
-<joint name="f" type="fixed"><parent link="a"/><child link="b"/><origin xyz="0 0.6 0"/></joint>
-<joint name="k" type="continuous"><parent link="b"/><child link="c"/><origin xyz="0 0.1 0"/></joint>{more}</robot>"""
+SWING = text_of("swing.urdf")
 
 
 @pytest.mark.parametrize("off", [(), ("a",), ("b",), ("a", "b"), ("c",), ("a", "b", "c")])
@@ -510,13 +470,13 @@ def test_links_without_gravity_and_springs_of_gazebo_have_mujocos_accelerations(
 <implicitSpringDamper>1</implicitSpringDamper></gazebo><ros2_control name="hw" type="system">
 <joint name="j"><state_interface name="position"><param name="initial_value">0.4</param></state_interface>
 <state_interface name="velocity"><param name="initial_value">-1.5</param></state_interface></joint></ros2_control>"""
-    scene = load_scene(written(tmp_path / "swing.urdf", SWING.format(more=more)))
+    scene = load_scene(written(tmp_path / "swing.urdf", filled(SWING, more=more)))
     assert "start values of the file: j = 0.4" in scene.notes
     assert not any("changes the motion" in note for note in scene.notes)
     sample = Simulation(scene, "rkmk4", 1e-3, estimate=False, quiet=True).sample()
     head = '<robot name="swing">'
     whole = f'{head}<mujoco><compiler fusestatic="false"/></mujoco>'
-    spec = mujoco.MjSpec.from_string(SWING.format(more="").replace(head, whole))
+    spec = mujoco.MjSpec.from_string(filled(SWING, more="").replace(head, whole))
     for body in spec.bodies:
         body.gravcomp = body.name in off
     model = spec.compile()
@@ -531,11 +491,7 @@ def test_links_without_gravity_and_springs_of_gazebo_have_mujocos_accelerations(
     assert turns[1][0] - turns[0][0] == pytest.approx(data.qacc[1], rel=1e-9)
 
 
-DRAKE = """<robot name="d" xmlns:drake="http://drake.mit.edu"><link name="base"/>
-<link name="a"><inertial><origin xyz="0.1 0 -0.2"/><mass value="1"/>
-<inertia ixx="0.01" iyy="0.02" izz="0.025" ixy="0" ixz="0" iyz="0"/></inertial></link>
-<drake:joint name="j" type="{}"><parent link="base"/><child link="a"/><origin xyz="0 0 1" rpy="0.3 0.2 0.1"/>
-<axis xyz="0 0.6 0.8"/>{}</drake:joint></robot>"""
+DRAKE = text_of("x_robot_formats.urdf")
 IN_MUJOCO = {
     "ball": '<joint type="ball"/>',
     "universal": '<joint axis="1 0 0"/><joint axis="0 1 0"/>',
@@ -630,12 +586,7 @@ def test_gravity_of_links_of_sdf(tmp_path):
     assert accelerations["b"] == pytest.approx([0, 0, 0, 0, 0, -9.81], abs=1e-14)
 
 
-DRIVEN = """<mujoco><option><flag contact="disable" {flag}/></option><worldbody>
-<body><joint name="j"/><geom size="0.1"/><site name="s"/>
-<body pos="0.3 0 0"><joint name="i"/><geom size="0.1"/></body></body>
-<body pos="0 1 0"><joint name="b" type="ball"/><geom size="0.1" pos="0.2 0 0"/></body></worldbody>
-<tendon><fixed name="t"><joint joint="i" coef="1"/><joint joint="j" coef="2"/></fixed></tendon>
-<actuator>{actuators}</actuator><keyframe><key name="k" {key}/></keyframe></mujoco>"""
+DRIVEN = text_of("driven.xml")
 
 
 @pytest.mark.parametrize(
@@ -690,12 +641,12 @@ DRIVEN = """<mujoco><option><flag contact="disable" {flag}/></option><worldbody>
 @pytest.mark.volume(3)
 def test_actuators_of_mjcf(actuators, forces, data, notes, tmp_path):
     """(stiffness, damping, limit) of servos, the range of commands, and what is said."""
-    path = written(tmp_path / "driven.xml", DRIVEN.format(flag="", actuators=actuators, key=""))
+    path = written(tmp_path / "driven.xml", filled(DRIVEN, flag="", actuators=actuators, key=""))
     scene = load_scene(path)
     assert [(each.name, each.stiffness, each.damping, each.effort_limit) for each in scene.forces] == forces
     assert scene.joints[0].data == data
     assert set(notes) <= set(scene.notes) and bool(scene.differences) == any("changes" in note for note in notes)
-    path.write_text(DRIVEN.format(flag='actuation="disable"', actuators=actuators, key=""))
+    path.write_text(filled(DRIVEN, flag='actuation="disable"', actuators=actuators, key=""))
     off = load_scene(path)
     assert not off.forces and not off.differences
 
@@ -712,7 +663,7 @@ def test_a_command_adds_to_the_control_of_the_keyframe(control, range_, effort, 
     """Gear 4: the sum of both stays within 4 times the range of the control."""
     path, beside = tmp_path / "driven.xml", tmp_path / "own.yaml"
     motor = f'<motor name="p" joint="j" gear="4" ctrlrange="{range_}"/>'
-    path.write_text(DRIVEN.format(flag="", actuators=motor, key=f'ctrl="{control}"'))
+    path.write_text(filled(DRIVEN, flag="", actuators=motor, key=f'ctrl="{control}"'))
     beside.write_text("robot: driven.xml\npose: k\n")
     scene = load_scene(beside)
     assert [each.torque for each in scene.forces] == [4.0 * control] and scene.joints[0].data == {"effort": effort}
@@ -724,7 +675,7 @@ def test_a_servo_of_the_user_replaces_that_of_the_file(tmp_path):
     """Also a prescribed motion; and an activation that a keyframe moves is said."""
     path, beside = tmp_path / "driven.xml", tmp_path / "own.yaml"
     servo = '<position name="p" joint="j" kp="100"/><intvelocity name="v" joint="i"/>'
-    path.write_text(DRIVEN.format(flag="", actuators=servo, key='ctrl="0.1 0.2"'))
+    path.write_text(filled(DRIVEN, flag="", actuators=servo, key='ctrl="0.1 0.2"'))
     beside.write_text("robot: driven.xml\npose: k\nforces:\n  - {name: p, type: servo, joint: j, stiffness: 2}\n")
     scene = load_scene(beside)
     assert [(each.name, each.stiffness) for each in scene.forces] == [("p", 2.0)]
@@ -886,13 +837,7 @@ def test_springs_and_servos_act_from_the_start_of_a_joint_beyond_half_a_turn(tmp
     assert servo.stiffness * (servo.position - angle) == pytest.approx(3.0 * (5.0 - 4.0), rel=1e-14)
 
 
-TENDONS = """<mujoco><worldbody><site name="w" pos="0.2 0 1.2"/>
-<body name="a"><joint name="ja" axis="0 1 0"/><geom size="0.1" pos="0.2 0 0"/><site name="sa" pos="0.4 0.1 0"/>
-  <body name="b" pos="0.5 0 0"><joint name="jb" axis="0 1 1"/><geom size="0.1" pos="0.2 0 0"/>
-    <site name="sb" pos="0.1 0.3 0.1"/></body></body>
-<body name="c" pos="0 1 0"><joint name="jc" axis="0 1 0" ref="20"/><geom size="0.1" pos="0.2 0 0"/>
-  <site name="sc" pos="0.1 0.1 0.1"/></body></worldbody>
-<tendon>{}</tendon><equality>{}</equality></mujoco>"""
+TENDONS = text_of("x_robot_formats.xml")
 
 
 PULLED = (
@@ -1029,10 +974,7 @@ def test_limits_and_equalities_of_tendons(tmp_path):
     assert len(without.joints) == 3 and "changes the motion: limits of tendons, left out: l" in without.notes
 
 
-HINGE = """<mujoco><option><flag {flag}/></option><worldbody><geom name="ground" size="1" contype="0" conaffinity="0"/>
-<body name="m" mocap="true"/><body name="a" pos="0 0 1"><joint name="j" stiffness="2" damping="1" range="-30 30"
-frictionloss="0.1"/><geom name="g" size="0.1" pos="0.3 0 0" {solid}/></body></worldbody>
-<contact><pair geom1="ground" geom2="g"/></contact><keyframe><key mpos="0 0 {height}"/></keyframe></mujoco>"""
+HINGE = text_of("hinge.xml")
 
 
 @pytest.mark.parametrize(
@@ -1049,7 +991,7 @@ frictionloss="0.1"/><geom name="g" size="0.1" pos="0.3 0 0" {solid}/></body></wo
 @pytest.mark.turn(3)
 def test_flags_and_contact_pairs_of_mjcf(flag, height, changes, acting, tmp_path):
     """What a flag switches off has no effect and no note; a contact pair acts on shapes that collide with no other."""
-    path = written(tmp_path / "flags.xml", HINGE.format(flag=flag, height=height, solid='contype="0" conaffinity="0"'))
+    path = written(tmp_path / "flags.xml", filled(HINGE, flag=flag, height=height, solid='contype="0" conaffinity="0"'))
     scene = load_scene(path)
     assert len(scene.differences) == len(changes)
     assert all(what in note for what, note in zip(changes, scene.differences))

@@ -4,6 +4,7 @@
 import numpy as np
 import pytest
 from robot_texts import written
+from scene_files import filled, text_of
 
 from liegroup_core import SceneError, Simulation, load_scene
 from liegroup_core.lie.groups import SO3
@@ -12,28 +13,12 @@ from liegroup_core.scene.load import scene_of
 from liegroup_sim_ros.commands.main import main
 
 G = 9.81
-ARM = """<robot name="arm">
-  <link name="base"/>
-  <link name="upper"><inertial><origin xyz="0.25 0 0"/><mass value="2"/>
-    <inertia ixx="0.002" iyy="0.04" izz="0.04" ixy="0" ixz="0" iyz="0"/></inertial></link>
-  <link name="flange_link"/>
-  <link name="tool"><inertial><origin xyz="0.05 0 0.01"/><mass value="0.3"/>
-    <inertia ixx="0.0004" iyy="0.0004" izz="0.0004" ixy="0" ixz="0" iyz="0"/></inertial></link>
-  <link name="tcp"/>
-  <joint name="shoulder" type="revolute"><parent link="base"/><child link="upper"/><axis xyz="0 1 0"/>
-    <limit lower="-2" upper="2" effort="50" velocity="3"/><dynamics damping="0.2"/></joint>
-  <joint name="flange" type="fixed"><parent link="upper"/><child link="flange_link"/>
-    <origin xyz="0.4 0 0"/></joint>
-  <joint name="wrist" type="fixed"><parent link="flange_link"/><child link="tool"/>
-    <origin xyz="0.02 0 0" rpy="0.1 0.2 0.3"/></joint>
-  <joint name="tcp_joint" type="fixed"><parent link="tool"/><child link="tcp"/><origin xyz="0 0 0.1"/></joint>
-  {more}
-</robot>"""
+ARM = text_of("arm_robot_sensors.urdf")
 MOVING = Options(start={"shoulder": 0.3}, start_velocity={"shoulder": 2.0})
 
 
 def arm(tmp_path, more="", name="arm.urdf"):
-    path = written(tmp_path / name, ARM.format(more=more))
+    path = written(tmp_path / name, filled(ARM, more=more))
     return path
 
 
@@ -68,7 +53,7 @@ def test_a_fixed_joint_that_is_kept_has_its_reaction_and_changes_no_motion(tmp_p
 
 
 def test_a_base_that_is_fixed_to_the_world_shows_what_it_carries(tmp_path):
-    text = ARM.format(more="").replace('<link name="base"/>', '<link name="floor"/><link name="base"/>')
+    text = filled(ARM, more="").replace('<link name="base"/>', '<link name="floor"/><link name="base"/>')
     text = text.replace(
         '<joint name="shoulder"',
         '<joint name="foot" type="fixed"><parent link="floor"/><child link="base"/></joint><joint name="shoulder"',
@@ -128,18 +113,7 @@ def test_sensors_in_a_urdf_file_are_those_of_the_scene(tmp_path):
     assert abs(damper) > 0.1 and shown == pytest.approx(expected, abs=1e-12)
 
 
-SDF = """<sdf version="1.9"><model name="arm"><static>false</static>
-<link name="upper"><inertial><mass>2</mass></inertial></link>
-<link name="tool"><pose>0.4 0 0 0.1 0.2 0.3</pose><inertial><pose>0.05 0 0.01 0 0 0</pose><mass>0.3</mass>
-  <inertia><ixx>0.0004</ixx><iyy>0.0004</iyy><izz>0.0004</izz></inertia></inertial>
-  <sensor name="imu" type="imu"><pose relative_to="mark">0 0 0.1 0 0 0</pose></sensor></link>
-<frame name="mark" attached_to="tool"><pose>0.2 0 0 {turn} 0 0</pose></frame>
-<joint name="shoulder" type="revolute"><parent>world</parent><child>upper</child>
-  <axis><xyz>0 1 0</xyz></axis></joint>
-<joint name="wrist" type="fixed"><pose>0.01 0.02 0.03 0.5 0 0</pose><parent>upper</parent><child>tool</child>
-  <sensor name="cell" type="force_torque"><pose{base}>0.04 -0.05 0.06 0 0.7 0</pose><force_torque>
-  <frame>{frame}</frame><measure_direction>{direction}</measure_direction>{more}</force_torque></sensor></joint>
-</model></sdf>"""
+SDF = text_of("arm_robot_sensors.sdf")
 OF_CELL = {"base": "", "frame": "child", "direction": "child_to_parent", "more": "", "turn": 0.9}
 # {attribute of the sensor's <pose>: (rotation (3, 3), position (3,)) in the tool of the frame that it names}
 JOINT_IN_TOOL = SO3.exp([0.5, 0, 0]), np.array([0.01, 0.02, 0.03])
@@ -156,7 +130,9 @@ BASES = {
 @pytest.mark.parametrize("base", BASES)
 def test_a_force_torque_sensor_of_sdf_has_its_axes_its_point_and_its_sign(tmp_path, base, frame, direction, sign):
     """The torque is about the origin of the sensor, in all axes."""
-    path = written(tmp_path / "arm.sdf", SDF.format(**OF_CELL | {"base": base, "frame": frame, "direction": direction}))
+    path = written(
+        tmp_path / "arm.sdf", filled(SDF, **OF_CELL | {"base": base, "frame": frame, "direction": direction})
+    )
     sample = sampled(load_scene(path))
     wrench = tool_wrench(sample)
     R, p = BASES[base]
@@ -173,14 +149,7 @@ def test_a_force_torque_sensor_of_sdf_has_its_axes_its_point_and_its_sign(tmp_pa
 def test_placed_sensors_of_sdf_and_urdf_show_what_mujoco_shows(tmp_path):
     """An arm that turns at 2 rad/s: the accelerometer has centripetal and Euler terms."""
     mujoco = pytest.importorskip("mujoco")
-    model = mujoco.MjModel.from_xml_string("""<mujoco><compiler angle="radian" eulerseq="XYZ"/><worldbody>
-<body name="upper"><joint name="shoulder" axis="0 1 0"/><inertial pos="0 0 0" mass="2" diaginertia="1 1 1"/>
-<body name="tool" pos="0.4 0 0" euler="0.1 0.2 0.3"><inertial pos="0.05 0 0.01" mass="0.3"
-  diaginertia="0.0004 0.0004 0.0004"/>
-<body name="mark" pos="0.2 0 0" euler="0.9 0 0"><site name="imu" pos="0 0 0.1"/>
-  <site name="cell" pos="0.04 -0.05 0.06" euler="0 0.7 0"/></body>
-<site name="at_cell"/></body></body></worldbody><sensor><gyro site="imu"/><accelerometer site="imu"/>
-<torque site="at_cell"/><force site="at_cell"/></sensor></mujoco>""")
+    model = mujoco.MjModel.from_xml_string(text_of("xml_robot_sensors.xml"))
     data = mujoco.MjData(model)
     data.qvel[:] = 2.0
     mujoco.mj_forward(model, data)
@@ -191,20 +160,9 @@ def test_placed_sensors_of_sdf_and_urdf_show_what_mujoco_shows(tmp_path):
     to_cell = data.site("cell").xmat.reshape(3, 3).T @ tool
     expected = {"imu": [*gyro, *acceleration], "cell": [*to_cell @ (torque - np.cross(cell, force)), *to_cell @ force]}
     sensors = """<sensor name="imu" type="imu"><pose relative_to="mark">0 0 0.1 0 0 0</pose></sensor>"""
-    urdf = f"""<robot name="arm"><link name="base"/>
-<link name="upper"><inertial><mass value="2"/><inertia ixx="1" iyy="1" izz="1"/></inertial></link>
-<link name="tool"><inertial><origin xyz="0.05 0 0.01"/><mass value="0.3"/>
-  <inertia ixx="0.0004" iyy="0.0004" izz="0.0004"/></inertial></link><link name="mark"/>
-<joint name="shoulder" type="continuous"><parent link="base"/><child link="upper"/><axis xyz="0 1 0"/></joint>
-<joint name="wrist" type="fixed"><parent link="upper"/><child link="tool"/>
-  <origin xyz="0.4 0 0" rpy="0.1 0.2 0.3"/></joint>
-<joint name="marked" type="fixed"><parent link="tool"/><child link="mark"/>
-  <origin xyz="0.2 0 0" rpy="0.9 0 0"/></joint>
-<gazebo reference="tool">{sensors}</gazebo><gazebo reference="wrist"><sensor name="cell" type="force_torque">
-<pose relative_to="marked">0.04 -0.05 0.06 0 0.7 0</pose><force_torque><frame>sensor</frame>
-<measure_direction>parent_to_child</measure_direction></force_torque></sensor></gazebo></robot>"""
+    urdf = filled(text_of("urdf_robot_sensors.urdf"), sensors=sensors)
     of_cell = {"base": ' relative_to="mark"', "frame": "sensor", "direction": "parent_to_child"}
-    for name, text in (("arm.sdf", SDF.format(**OF_CELL | of_cell)), ("arm.urdf", urdf)):
+    for name, text in (("arm.sdf", filled(SDF, **OF_CELL | of_cell)), ("arm.urdf", urdf)):
         path = written(tmp_path / name, text)
         values = sampled(scene_of(path, Options(start_velocity={"shoulder": 2.0}))).sensors
         assert values["imu"][4:] == pytest.approx(expected["imu"], rel=1e-10, abs=1e-10), name
@@ -217,10 +175,10 @@ def test_placed_sensors_of_sdf_and_urdf_show_what_mujoco_shows(tmp_path):
 def test_what_a_sensor_of_sdf_has_and_a_scene_has_not_is_noted(tmp_path):
     path = tmp_path / "arm.sdf"
     quantized = '<force><x><noise type="gaussian_quantized"><stddev>1</stddev></noise></x></force>'
-    path.write_text(SDF.format(**OF_CELL | {"more": quantized}))
+    path.write_text(filled(SDF, **OF_CELL | {"more": quantized}))
     scene = load_scene(path)
     assert "left out: noise of sensors that a scene does not have (cell)" in scene.notes
-    path.write_text(SDF.format(**OF_CELL | {"frame": "moon"}))
+    path.write_text(filled(SDF, **OF_CELL | {"frame": "moon"}))
     scene = load_scene(path)
     assert [sensor.name for sensor in scene.sensors] == ["imu"]
     assert any("force_torque sensors with moon axes" in note for note in scene.notes)
@@ -228,24 +186,7 @@ def test_what_a_sensor_of_sdf_has_and_a_scene_has_not_is_noted(tmp_path):
     assert [joint.name for joint in scene.joints] == ["shoulder"]
 
 
-MJCF = """<mujoco><worldbody>
-<body name="upper" pos="0.1 0.2 0.3" euler="20 10 -30">
-  <joint name="swing" type="hinge" axis="0.3 -0.5 1" damping="0.7" stiffness="3"/>
-  <joint name="lift" type="slide" axis="0 0.2 1" stiffness="90"/>
-  <inertial pos="0.1 0.02 -0.03" mass="2.5" diaginertia="0.02 0.03 0.025"/>
-  <site name="mid" pos="0.2 0.01 0" euler="10 20 30"/>
-  <body name="tool" pos="0.3 0.1 0" euler="0 40 0">
-    <inertial pos="0 0 0.1" mass="0.4" diaginertia="0.001 0.001 0.0015"/>
-    <site name="end" pos="0.01 0.02 0.03" euler="0 15 25"/></body></body>
-</worldbody><sensor>
-<force name="end_force" site="end"/><torque name="end_torque" site="end"/>
-<torque name="mid_torque" site="mid"/><force name="mid_force" site="mid"/>
-<accelerometer name="acc" site="end" noise="0.1"/><gyro name="gyro" site="end"/>
-<framequat name="turn" objtype="site" objname="end"/>
-<framepos name="spot" objtype="site" objname="mid"/><velocimeter name="speed" site="mid"/>
-<jointpos name="angle" joint="swing"/><jointvel name="rate" joint="swing"/><touch name="touch" site="mid"/>
-<gyro name="clipped" site="mid" cutoff="3"/>
-</sensor></mujoco>"""
+MJCF = text_of("mjcf.xml")
 
 
 def test_sensors_of_mjcf_show_what_mujoco_shows(tmp_path):

@@ -22,6 +22,7 @@ from robot_texts import (
     stewart_sdf,
     written,
 )
+from scene_files import filled, text_of
 
 from liegroup_core import Scene, SceneError, Simulation, load_scene
 from liegroup_core.describe import describe
@@ -47,7 +48,7 @@ def arm_in(folder, kind):
         R = rotation(0.3, -0.2, 0.5)
         own = np.array([[0.02, 0.001, -0.002], [0.001, 0.03, 0.0015], [-0.002, 0.0015, 0.025]])
         tensor = (R @ own @ R.T)[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-        text = ARM_MJCF.format(upper=" ".join(map(repr, tensor.tolist())))
+        text = filled(ARM_MJCF, upper=" ".join(map(repr, tensor.tolist())))
     else:
         text = {"urdf": ARM_URDF, "sdf": ARM_SDF}[kind]
     path = written(folder / f"arm.{'xml' if kind == 'mjcf' else kind}", text)
@@ -167,14 +168,7 @@ def test_random_urdf_trees_have_mujocos_accelerations(seed, tmp_path):
     assert peers().against_mujoco(path, scene, 10) < 1e-12
 
 
-ELBOW = """<robot name="arm"><link name="base"/>
-<link name="upper"><inertial><origin xyz="0 0 -.2"/><mass value="1"/>
-  <inertia ixx="0.01" iyy="0.01" izz="0.002" ixy="0" ixz="0" iyz="0"/></inertial></link>
-<link name="lower"><inertial><origin xyz="0 0 -.1"/><mass value=".5"/>
-  <inertia ixx="0.004" iyy="0.004" izz="0.001" ixy="0" ixz="0" iyz="0"/></inertial></link>
-<joint name="sh" type="continuous"><parent link="base"/><child link="upper"/><axis xyz="0 1 0"/></joint>
-<joint name="el" type="continuous"><parent link="upper"/><child link="lower"/><origin xyz="0 0 -.4"/><axis xyz="0 1 0"/>
-  OF_ELBOW</joint>"""
+ELBOW = text_of("arm_robots.urdf")
 LIGHT = """<link name="mid"/><link name="tip"/><link name="slider"/>
 <joint name="free" type="continuous"><parent link="lower"/><child link="mid"/><axis xyz="1 0 0"/></joint>
 <joint name="turn" type="continuous"><parent link="mid"/><child link="tip"/><origin xyz="0 0 -.2"/><axis xyz="0 0 1"/>
@@ -328,14 +322,8 @@ def test_starts_of_floating_links_and_of_joints_with_several_coordinates(tmp_pat
         assert body.twist == pytest.approx([*omega, *v], abs=1e-15)
 
 
-PLANAR_URDF = """<robot name="r"><link name="w"/><link name="a"><inertial><mass value="1"/>
-<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
-<joint name="j" type="planar"><parent link="w"/><child link="a"/>
-<origin xyz="1 2 3" rpy="0.2 0.3 0.4"/><axis xyz="0 1 0"/></joint></robot>"""
-UNIVERSAL_SDF = """<sdf version="1.9"><model name="m"><link name="a"><pose>1 2 3 0.2 0.3 0.4</pose>
-<inertial><mass>1</mass></inertial></link>
-<joint name="j" type="universal"><parent>world</parent><child>a</child><axis><xyz>0 1 0</xyz></axis>
-<axis2><xyz>0 0 1</xyz></axis2></joint></model></sdf>"""
+PLANAR_URDF = text_of("r_robots.urdf")
+UNIVERSAL_SDF = text_of("m_robots.sdf")
 
 
 @pytest.mark.parametrize(
@@ -378,29 +366,6 @@ def test_starts_satisfy_the_type_of_their_joint(text, good, bad, tmp_path):
     for wrong in bad:
         with pytest.raises(SceneError, match='joint "j" is (planar|universal) and does not allow this'):
             scene_from_robot(path, Options(start={"j": Start(**wrong)}))
-
-
-@pytest.mark.parametrize(
-    "start, message",
-    [
-        ("ball: {position: [0, 0, 1]}", 'placed.yaml:2: start: joint "ball" is spherical and does not allow this'),
-        ("ball: 0.3", 'placed.yaml:2: start: joint "ball" is spherical: only joints with one coordinate'),
-        ("turn: {position: [0, 0, 1]}", 'placed.yaml:2: start: joint "turn" is revolute: give it a number'),
-        ("arm: {position: [0, 0, 1]}", 'placed.yaml:2: start: link "arm" does not float'),
-        ("trunk: {position: [0, 0, 1]}", "placed.yaml:2: start: joint or link 'trunk' is not in the robot"),
-        ("ball_free: {velocity: [0, 0, 1]}", "placed.yaml:2: start.ball_free: unknown key 'velocity'"),
-        ("ball_free: {position: [0, 0]}", "placed.yaml:2: start.ball_free.position must have 3 numbers"),
-        ("ball: {quaternion: [0, 0, 0, 1]}, lock: {ball: 0}", 'placed.yaml:2: start: joint "ball" is locked'),
-    ],
-)
-@pytest.mark.turn(3)
-def test_wrong_starts_get_one_line(start, message, tmp_path):
-    (tmp_path / "all.xml").write_text(MJCF_WITH_ALL_JOINTS)
-    start, _, rest = start.partition(", lock")
-    (tmp_path / "placed.yaml").write_text(f"robot: all.xml\nstart: {{{start}}}\n{'lock' * bool(rest)}{rest}\n")
-    with pytest.raises(SceneError) as error:
-        load_scene(tmp_path / "placed.yaml")
-    assert message in str(error.value) and "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize(
@@ -549,27 +514,6 @@ def test_laws_beside_a_robot_name_its_links_and_joints(tmp_path):
         assert message.startswith(f"{path}:{line}: ") and expected in message, message
 
 
-def test_errors_beside_a_robot_have_the_line_of_their_file(tmp_path):
-    (tmp_path / "five_bar.urdf").write_text(five_bar_urdf())
-    path = tmp_path / "closed.yaml"
-    for line, text, expected in (
-        (2, "start: {left_cranc: 1}", 'did you mean "left_crank"'),
-        (
-            3,
-            "joints:\n  - {name: tip, type: revolute, parent: left_ends, child: right_end, child_frame: {}}",
-            "'left_ends' is not in the robot; did you mean \"left_end\"",
-        ),
-        (3, "forces:\n  - {name: a, type: drag, body: left, linear: -1}", "must not be negative"),
-        (2, "bodies: []", "unknown key 'bodies'"),
-        (2, "only: [nothing]", "'nothing' is not in the robot"),
-    ):
-        path.write_text(f"robot: five_bar.urdf\n{text}\n")
-        with pytest.raises(SceneError) as caught:
-            load_scene(path)
-        message = str(caught.value)
-        assert message.startswith(f"{path}:{line}: ") and expected in message, message
-
-
 def freedoms(simulation):
     """Degrees of freedom at the start."""
     return 6 * len(simulation.scene.bodies) - simulation.layout.model.row_residual.size
@@ -616,15 +560,7 @@ def test_a_joint_of_a_loop_that_starts_at_its_stop_stays_there():
     assert abs(moved["slide"][0]) < 1e-12 and 1e-7 < abs(moved["cross0"][0]) < 1e-5
 
 
-EQUALITY_MJCF = """<mujoco><worldbody>
-  <body name="a"><joint name="turn" type="hinge" axis="0 1 0" ref="10"/>
-    <geom type="box" size="0.2 0.1 0.05" pos="0.2 0 0" mass="1"/>
-    <body name="b" pos="0.4 0 0" euler="20 0 0"><joint name="slip" type="slide" axis="1 0 1"/>
-      <geom type="box" size="0.1 0.02 0.05" mass="0.5"/></body></body>
-  <body name="c" pos="1 0 0"><joint name="wheel" type="hinge" axis="1 2 0"/>
-    <geom type="box" size="0.1 0.3 0.05" mass="0.7"/></body></worldbody>
-  <equality><joint joint1="slip" joint2="turn" polycoef="0.1 -0.3 0 0 0"/>
-    <joint joint1="wheel" joint2="slip" polycoef="0 4 0 0 0"/></equality></mujoco>"""
+EQUALITY_MJCF = text_of("equality_mjcf.xml")
 
 
 def test_mimic_joints_are_couplings(tmp_path):
@@ -769,14 +705,7 @@ def test_the_root_link_of_a_floating_robot_stays_whatever_the_order(order, lock,
 
 @pytest.mark.parametrize(("canonical", "still"), [("", "b"), ('canonical_link="a"', "a")])
 def test_the_canonical_link_of_a_floating_model_stays(canonical, still, tmp_path):
-    path = written(
-        tmp_path / "two.sdf",
-        f"""<sdf version="1.9"><model name="m" {canonical}>
-<link name="b"><pose>0 0 1 0 0 0</pose><inertial><mass>1</mass></inertial></link>
-<link name="a"><pose>1 0 0 0 0 0</pose><inertial><mass>5</mass></inertial></link>
-<joint name="j" type="revolute"><parent>a</parent><child>b</child><axis><xyz>0 1 0</xyz></axis>
-</joint></model></sdf>""",
-    )
+    path = written(tmp_path / "two.sdf", filled(text_of("sdf_robots.sdf"), canonical=canonical))
     options = Options(start={"j": 0.5}, start_velocity={"j": 1.0})
     poses, twists = placed_links(scene_from_robot(path, options))
     expected = {"a": [1, 0, 0], "b": [0, 0, 1]}[still]

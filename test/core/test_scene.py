@@ -14,7 +14,7 @@ import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scene_files import ROOT, SCENES, each_scene
+from scene_files import ROOT, SCENES, each_scene, filled, text_of
 
 from liegroup_core.errors import SceneError
 from liegroup_core.fields.values import Described
@@ -425,14 +425,7 @@ def test_the_scene_in_the_documentation_loads():
     assert scene_from_text(scene.text).model_dump() == scene.model_dump()
 
 
-DEGREES = """
-name: rod
-gravity: [0, 0, -9.81]
-bodies:
-  - {{name: rod, mass: 1, inertia: [0.1, 0.1, 0.1]}}
-joints:
-  - {{name: hinge, type: {type}, parent: world, child: rod, child_frame: {{position: [0, 0, 0]}}, limits: {limits}}}
-"""
+DEGREES = text_of("rod_scene.yaml")
 
 
 @pytest.mark.parametrize(
@@ -445,6 +438,6 @@ joints:
     ],
 )
 def test_angles_that_look_like_degrees_have_a_note(type, limits, notes):
-    found = scene_from_text(DEGREES.format(type=type, limits=limits)).notes
+    found = scene_from_text(filled(DEGREES, type=type, limits=limits)).notes
     assert len(found) == len(notes) and all(note in text for note, text in zip(notes, found)), found
     assert not notes or found[1].endswith(f"write {np.deg2rad(145):.6g}")

@@ -6,6 +6,7 @@ import json
 import numpy as np
 import pytest
 from given import reference_inputs
+from scene_files import text_of
 from scipy.linalg import expm
 
 from liegroup_core import SceneError, Simulation, load_scene
@@ -17,31 +18,9 @@ INERTIA, MASS = 0.5, 2.0
 SERVO = "{name: drive, type: servo, joint: hinge, stiffness: 40, damping: 3"
 LINEAR = "{name: pull, type: linear_servo, joint: slide, stiffness: 90, damping: 8"
 # A hinge and a slide, each alone on the ground, without gravity.
-BENCH = """
-name: bench
-gravity: [0, 0, 0]
-bodies:
-  - {name: wheel, mass: 1.0, inertia: [0.3, 0.4, 0.5]}
-  - {name: sledge, mass: 2.0, inertia: [0.1, 0.1, 0.1], position: [3, 0, 0]}
-joints:
-  - {name: hinge, type: revolute, parent: world, child: wheel, child_frame: {position: [0, 0, 0]}}
-  - {name: slide, type: prismatic, parent: world, child: sledge, child_frame: {position: [0, 0, 0]}}
-forces:
-"""
+BENCH = text_of("bench_servos.yaml")
 # Two links on a tilted base under gravity, one that slides.
-ARM = """
-name: arm
-gravity: [0, 0, -9.81]
-bodies:
-  - {name: upper, mass: 2.0, inertia: [0.02, 0.05, 0.05], com: [0.25, 0, 0.02]}
-  - {name: hand, mass: 0.7, inertia: [0.01, 0.012, 0.01], position: [0.5, 0, 0]}
-joints:
-  - {name: hinge, type: revolute, parent: world, child: upper,
-     parent_frame: {position: [0, 0, 0], axis: [0.2, 1, 0]}}
-  - {name: slide, type: prismatic, parent: upper, child: hand,
-     parent_frame: {position: [0.5, 0, 0], axis: [1, 0, 0.3]}}
-forces:
-"""
+ARM = text_of("arm_servos.yaml")
 GROUPS = [
     ("rkmk8", "relative"),
     ("rkmk8", "se3"),

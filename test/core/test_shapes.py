@@ -110,37 +110,6 @@ def text_with(shape):
     return f"name: s\ngravity: [0, 0, 0]\nbodies:\n- name: b\n  shape: {shape}\n"
 
 
-@pytest.mark.parametrize(
-    "shape, message",
-    [
-        ("{type: ball, radius: 1, mass: 1}", "shape: type 'ball' is not known; choose one of: box,"),
-        ("{radius: 1, mass: 1}", "shape: type is missing: give box or cylinder or rod or sphere"),
-        ("{type: sphere, radius: 1}", "shape: mass is missing: give mass or density"),
-        (
-            "{type: sphere, radius: 1, mass: 1, density: 1}",
-            "shape: mass and density both define the mass: keep one of them",
-        ),
-        ("{type: sphere, radius: -1, mass: 1}", "shape.radius must be greater than 0, got -1"),
-        ("{type: box, size: [1, 0, 1], mass: 1}", "shape.size must be three lengths greater than 0"),
-        ("{type: box, size: [1, 1], mass: 1}", "shape.size must have 3 numbers"),
-        ("{type: cylinder, radius: 1, mass: 1}", "shape: length is missing: give the length along z"),
-        ("{type: rod, length: 1, density: 1}", "shape: radius is missing: give a radius, or mass"),
-        (
-            "{type: rod, length: 1, mass: 1, axis: [1, 0, 0], quaternion: [0, 0, 0, 1]}",
-            "shape: quaternion and axis both define the rotation",
-        ),
-        ("{type: sphere, radius: 1e80, density: 1e80}", "or its inertia is out of range: check sizes"),
-        ("{type: sphere, radius: 1e-80, density: 1e-100}", "is out of range: check sizes"),
-        ("3", "shape must be a mapping"),
-    ],
-)
-def test_a_wrong_shape_is_refused_in_one_line(shape, message):
-    with pytest.raises(SceneError) as caught:
-        scene_from_text(text_with(shape), source="x.yaml")
-    assert str(caught.value).startswith('x.yaml:5: bodies[0] "b": ')
-    assert message in str(caught.value)
-
-
 @pytest.mark.parametrize("key, value", [("mass", "1.0"), ("inertia", "[1, 1, 1]"), ("com", "[0, 0, 1]")])
 def test_a_shape_excludes_keys_that_it_defines(key, value):
     text = text_with("{type: sphere, radius: 1, mass: 1}") + f"  {key}: {value}\n"

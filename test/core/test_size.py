@@ -2,16 +2,12 @@
 """Size of a mechanism, of which an accuracy is a part."""
 
 import pytest
+from scene_files import text_of
 
 from liegroup_core.layout import make_layout
 from liegroup_core.scene.load import scene_from_text
 
-BALL = """
-name: ball
-gravity: [0, 0, -9.81]
-bodies:
-  - {name: ball, mass: 2.0, inertia: [INERTIA], position: [0, 0, -3]}
-"""
+BALL = text_of("ball_size.yaml")
 LINE = "joints:\n  - {name: line, type: TYPE, parent: world, child: ball, parent_frame: {}, child_frame: {}"
 SMALL = "0.02, 0.02, 0.02"
 

@@ -7,21 +7,14 @@ import pickle
 
 import numpy as np
 import pytest
+from scene_files import text_of
 
 from liegroup_core import Simulation, load_scene
 from liegroup_core.methods.table import METHODS
 from liegroup_core.scene.load import scene_from_text
 from liegroup_sim_ros.recording import attachments
 
-SPRING = """
-name: wound
-gravity: [0, 0, -9.81]
-bodies: [{name: arm, mass: 1, inertia: [0.1, 0.2, 0.3], com: [0.3, 0, 0], angular_velocity: [0, 30, 0]}]
-joints:
-  - {name: hinge, type: revolute, parent: world, child: arm,
-     parent_frame: {position: [0, 0, 0], axis: [0, 1, 0]}, child_frame: {axis: [0, 1, 0]}}
-forces: [{name: coil, type: torsional_spring_damper, joint: hinge, stiffness: 0.5, damping: 0.01}]
-"""
+SPRING = text_of("wound_snapshot.yaml")
 PUSH = [0.3, 0.1, 0.0, 0.0, 0.2, 0.0]
 CASES = [
     ("four_bar", {"accuracy": 1e-5, "step": 1e-3}),

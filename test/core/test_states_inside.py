@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import yaml
 from convergence import fitted_order
+from scene_files import text_of
 
 from liegroup_core import Simulation, load_scene
 from liegroup_core.methods.munthe_kaas.ahead import further_stages, polynomials
@@ -197,14 +198,7 @@ def test_states_and_errors_are_the_same_one_by_one_together_and_backwards(name):
                 assert one == other, (kind, push, one[0])
 
 
-STIFF_STOP = """
-name: stiff_stop
-gravity: [-9.81, 0, 0]
-bodies: [{name: mass, position: [0.2, 0, 0], shape: {type: sphere, radius: 0.05, mass: 1}}]
-joints:
-  - {name: slide, type: prismatic, parent: world, child: mass, child_frame: {axis: [1, 0, 0]},
-     parent_frame: {axis: [1, 0, 0]}, limits: {lower: 0, upper: 9, stiffness: 1.0e+6, damping: 300}}
-"""
+STIFF_STOP = text_of("stiff_stop.yaml")
 
 
 def test_a_restored_run_with_both_methods_has_the_same_snapshots():

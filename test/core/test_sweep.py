@@ -11,6 +11,7 @@ import numpy as np
 import pandas
 import pyarrow.parquet
 import pytest
+from scene_files import text_of
 from scipy.special import ndtr
 
 from liegroup_core import load_scene
@@ -27,15 +28,7 @@ from liegroup_core.study.sweep.sweep import Sweep, describe, described
 SCENES = sorted((Path(__file__).resolve().parents[2] / "config" / "scenes").glob("*.yaml"))
 # A point on a spring of length 0 about the origin: x(t) = x0 cos(w t) + v0 / w sin(w t) in each
 # direction, w^2 = stiffness / mass. It does not turn.
-OSCILLATOR = """
-name: oscillator
-gravity: [0, 0, 0]
-bodies:
-  - {name: ball, mass: 1.0, inertia: [0.1, 0.1, 0.1], position: [1, 0, 0]}
-forces:
-  - {name: spring, type: spring_damper, parent: world, parent_point: [0, 0, 0], child: ball,
-     child_point: [0, 0, 0], stiffness: 4.0}
-"""
+OSCILLATOR = text_of("oscillator_sweep.yaml")
 VARY = ["mass=1:4:log", "spring.stiffness=4:9", "position.0=-1,0.5,2", "linear_velocity.1=0~0.5"]
 TIME, STEP = 2.0, 0.02
 
@@ -419,16 +412,7 @@ def test_the_largest_impulses_at_impacts_are_columns():
 
 
 def test_the_largest_efforts_of_forces_at_joints_are_columns_beside_the_reactions():
-    text = """
-name: pair
-gravity: [0, 0, -9.81]
-bodies: [{name: arm, mass: 1, inertia: [1, 1, 1], com: [0.3, 0, 0]}]
-joints: [{name: hinge, type: revolute, parent: world, child: arm, child_frame: {axis: [0, 1, 0]}}]
-forces:
-  - {name: wind, type: drag, body: arm, linear: 0.1}
-  - {name: spring, type: torsional_spring_damper, joint: hinge, stiffness: 5}
-  - {name: drive, type: motor, joint: hinge, torque: -2}
-"""
+    text = text_of("pair_sweep.yaml")
     settings = {"method": "rkmk4", "step": 1e-3}
     sweep = Sweep.of(scene_from_text(text), ["bodies.arm.mass=1:3"], 3, 200, 50, settings=settings, reactions=True)
     columns = joined(sweep.run(range(3), workers=1))

@@ -6,6 +6,7 @@ from itertools import islice
 
 import numpy as np
 import pytest
+from scene_files import text_of
 
 from liegroup_core import Simulation, load_scene
 from liegroup_core.mechanism.body_model import initial_state
@@ -216,18 +217,7 @@ def test_a_wrong_horizon_is_refused(wrong):
         Trade(load_scene("double_pendulum"), wrong)
 
 
-STIFF = """
-name: damped
-gravity: [0, 0, 0]
-bodies:
-  - {name: cart, mass: 1.0, inertia: [0.1, 0.1, 0.1], position: [0.3, 0, 0]}
-joints:
-  - {name: rail, type: prismatic, parent: world, child: cart,
-     parent_frame: {axis: [1, 0, 0]}, child_frame: {axis: [1, 0, 0]}}
-forces:
-  - {name: spring, type: spring_damper, parent: world, parent_point: [-1, 0, 0], child: cart,
-     child_point: [0, 0, 0], stiffness: 1.0e+6, damping: 2.0e+3, rest_length: 1.0}
-"""
+STIFF = text_of("damped.yaml")
 
 
 def test_a_transient_before_the_first_sample_counts(tmp_path):

@@ -3,6 +3,7 @@
 
 import numpy as np
 import pytest
+from scene_files import text_of
 
 from liegroup_core import Simulation, load_scene
 from liegroup_core.forces.commands import WRENCH, Command
@@ -217,12 +218,7 @@ def test_a_command_for_the_past_acts_from_now_to_its_stated_end(caplog):
     assert late == ["command to b for t = 0.2 s at 0.5 s: it acts from then to its end"]
 
 
-BY_SCENE = """
-name: pushed
-gravity: [0, 0, 0]
-bodies: [{name: body, mass: 2, inertia: [1, 1, 1]}]
-forces: [{name: push, type: applied_wrench, body: body, force: [3, 0, 0], start: 0.0105, end: 0.0315}]
-"""
+BY_SCENE = text_of("pushed.yaml")
 
 
 def test_a_wrench_of_the_scene_is_no_command_of_users():

@@ -2,6 +2,7 @@
 """Recordings as the node writes them, made without its threads, with optional planted errors."""
 
 from example_run import diagnostics_message, log_message
+from scene_files import text_of
 
 from liegroup_core import Simulation
 from liegroup_sim_ros.messages import inputs
@@ -18,18 +19,7 @@ PACING = {
     "wall_seconds": 1.0,
     "sim_seconds": 1.0,
 }
-PAIR = """
-name: pair
-description: "<script>alert(1)</script> & more"
-gravity: [0, 0, -9.81]
-bodies:
-  - {name: left, mass: 1.0, inertia: [0.1, 0.2, 0.25], angular_velocity: [1, 2, 3]}
-  - {name: right, mass: 2.0, inertia: [0.1, 0.1, 0.1], position: [1, 0, 0],
-     angular_velocity: [0, 1, 0]}
-forces:
-  - {name: band, type: spring_damper, parent: left, parent_point: [0.1, 0, 0], child: right,
-     child_point: [0, 0.1, 0], stiffness: 50, rest_length: 0.5}
-"""
+PAIR = text_of("pair.yaml")
 
 
 def record(

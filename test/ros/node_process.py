@@ -28,6 +28,7 @@ from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from scene_files import text_of
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from waiting import PATIENCE, wait_for
@@ -39,14 +40,7 @@ from liegroup_sim_ros.node import node as nodes
 from liegroup_sim_ros.signals import Signals
 
 # Two free bodies without gravity: a push has a closed form. `cube` tumbles, `puck` is at rest.
-SCENE = """
-name: two_bodies
-gravity: [0, 0, 0]
-bodies:
-  - {name: puck, mass: 2.0, inertia: [0.3, 0.35, 0.4]}
-  - {name: cube, mass: 1.0, inertia: [0.5, 0.9, 1.2], position: [5, 0, 0],
-     angular_velocity: [0.4, 1.1, 0.3], linear_velocity: [0.1, 0.2, 0.3]}
-"""
+SCENE = text_of("two_bodies.yaml")
 
 UNDISCOVERED = 10.0  # s
 LATCHED = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)

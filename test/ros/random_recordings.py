@@ -6,6 +6,7 @@ import random
 
 import numpy as np
 from made_run import PACING, PAIR, record
+from scene_files import text_of
 
 from liegroup_core import Simulation, load_scene
 from liegroup_core.scene.load import scene_from_text
@@ -13,14 +14,7 @@ from liegroup_sim_ros.recording.write_run import LogFile
 
 # One number per body, joint and force as they come, and extremes. 1e30 and 1e300 overflow when squared.
 ODD = (0.0, -0.0, 5e-324, 1e-300, -1.0, 1e9, 1e30, -1e300, np.nan, np.inf, -np.inf)
-STOPPED = """
-name: stopped
-gravity: [0, 0, 0]
-bodies: [{name: ram, mass: 1.0, inertia: [0.1, 0.1, 0.1], linear_velocity: [1, 0, 0]}]
-joints:
-  - {name: slide, type: prismatic, parent: world, child: ram, parent_frame: {axis: [1, 0, 0]},
-     child_frame: {axis: [1, 0, 0]}, limits: {upper: 0.01}, friction: {coulomb: 0.05}}
-"""
+STOPPED = text_of("stopped_random_recordings.yaml")
 SCENES = ("heavy_top", "free_body", "double_pendulum", PAIR, STOPPED)
 FEW = (0, 1, 2, 3, 30)  # samples, beside that of the start
 

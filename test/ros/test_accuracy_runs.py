@@ -14,6 +14,7 @@ from geometry_msgs.msg import PoseStamped
 from made_run import record
 from node_process import NodeProcess, figures_of
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from scene_files import text_of
 from scene_runs import Run
 
 from liegroup_core import Simulation, load_scene
@@ -173,21 +174,7 @@ def test_an_accuracy_that_changes_between_states_of_one_step_repeats(ros_node, t
     assert [event.name for event in recording.events].count("accuracy") == 1
 
 
-ARM = """
-name: arm
-gravity: [0, 0, -9.81]
-bodies:
-  - {name: upper, mass: 2.0, inertia: [0.02, 0.05, 0.05], com: [0.25, 0, 0.02]}
-  - {name: hand, mass: 0.7, inertia: [0.01, 0.012, 0.01], position: [0.5, 0, 0]}
-joints:
-  - {name: hinge, type: revolute, parent: world, child: upper,
-     parent_frame: {position: [0, 0, 0], axis: [0.2, 1, 0]}}
-  - {name: slide, type: prismatic, parent: upper, child: hand,
-     parent_frame: {position: [0.5, 0, 0], axis: [1, 0, 0.3]}}
-forces:
-  - {name: drive, type: servo, joint: hinge, stiffness: 90, damping: 8, effort_limit: 9}
-  - {name: pull, type: linear_servo, joint: slide, stiffness: 300, damping: 20}
-"""
+ARM = text_of("arm_accuracy_runs.yaml")
 
 
 @pytest.mark.turn(3)

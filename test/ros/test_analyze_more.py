@@ -16,6 +16,7 @@ import jsonschema
 import numpy as np
 import pytest
 from made_run import PAIR, record
+from scene_files import text_of
 
 from liegroup_core import Simulation, load_scene
 from liegroup_core.reference.elliptic import free_body, heavy_top, to_floats
@@ -37,24 +38,8 @@ from liegroup_sim_ros.report.plots import make_plots
 from liegroup_sim_ros.report.summary import headline, overview, sections
 
 SCHEMA = Path(__file__).resolve().parents[2] / "config" / "analysis.schema.json"
-FREE = """
-name: free
-gravity: [0, 0, -9.81]
-bodies:
-  - {name: box, mass: 2.0, inertia: [0.1, 0.2, 0.25], com: [0.01, 0.02, 0],
-     angular_velocity: [1, 5, 0.2], linear_velocity: [1, 0, 3]}
-"""
-TOP = """
-name: top
-gravity: [0, 0, -9.81]
-bodies:
-  - {name: top, mass: 1.0, inertia: [0.02, 0.02, 0.03], rotation_vector: [0.5, 0, 0],
-     angular_velocity: [0, 0.5, 25], linear_velocity: [0.1, 0, 0],
-     position: [0.1, 0.2, 0.3]}
-joints:
-  - {name: pivot, type: spherical, parent: world, child: top,
-     child_frame: {position: [0, 0, -0.2]}}
-"""
+FREE = text_of("free_analyze_more.yaml")
+TOP = text_of("top_analyze_more.yaml")
 
 
 def run(path, scene, method="rkmk4", step=2e-3, duration=1.0, every=10, spoil=lambda sample: sample, **options):
@@ -344,12 +329,7 @@ def test_a_recorded_estimate_above_the_limit_fails_the_command(tmp_path, capsys)
     assert find_exceeded([{**figures, "estimate": None}], 1.0) == []
 
 
-STOPPED = """
-name: stopped
-gravity: [0, 0, -9.81]
-bodies: [{name: bob, mass: 1.0, inertia: [0.1, 0.1, 0.1]}]
-joints: [{name: slide, type: prismatic, parent: world, child: bob, child_frame: {}, limits: {lower: -1.0}}]
-"""
+STOPPED = text_of("stopped_analyze_more.yaml")
 NO_STOPS = "the reference integration has no stops and no friction (slide)"
 
 
@@ -710,18 +690,7 @@ def test_joint_states_are_read(tmp_path):
     assert frame.shape == (30, 6) and frame[states.names[1]].velocity.iloc[-1] == wanted[-1][4]
 
 
-CAM = """
-name: cam
-gravity: [0, 0, 0]
-bodies:
-  - {name: wheel, mass: 1, inertia: [0.1, 0.1, 0.1], angular_velocity: [0, 0, 2]}
-  - {name: lifter, mass: 1, inertia: [0.1, 0.1, 0.1]}
-joints:
-  - {name: shaft, type: revolute, parent: world, child: wheel, child_frame: {position: [0, 0, 0]}}
-  - {name: valve, type: prismatic, parent: world, child: lifter, child_frame: {position: [0, 0, 0]}}
-couplings:
-  - {name: cam, joint: valve, other: shaft, ratio: 0, curve: [0.05, 0.02]}
-"""
+CAM = text_of("cam_analyze_more.yaml")
 
 
 def test_the_violation_of_a_curved_coupling_is_reported(tmp_path):

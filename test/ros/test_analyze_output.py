@@ -214,46 +214,6 @@ def test_plots_of_every_file_type(tmp_path, capsys):
         assert out == "" and said in err and err.count("\n") == 1
 
 
-@pytest.mark.parametrize(
-    "make, said",
-    [
-        (lambda path: None, "No such file"),
-        (lambda path: path.write_bytes(b"not a log"), "not an MCAP file"),
-        (lambda path: path.mkdir(), "the folder has no"),
-    ],
-)
-def test_unreadable_files_give_one_line(tmp_path, capsys, make, said):
-    make(tmp_path / "a.mcap")
-    assert main(["analyze", str(tmp_path / "a.mcap")]) == 2
-    out, err = capsys.readouterr()
-    assert out == "" and said in err and err.count("\n") == 1
-    assert err.startswith(f"liegroup_sim: {tmp_path / 'a.mcap'}")
-
-
-def test_unwritable_output_and_invalid_scenes_give_one_line(tmp_path, capsys):
-    """A report that cannot be written is refused before the analysis, as is an invalid scene."""
-    log = record(tmp_path / "a.mcap", scene_from_text(PAIR), 20)
-    assert main(["analyze", str(log), "--html", str(tmp_path / "no" / "a.html")]) == 2
-    assert "cannot be written" in capsys.readouterr().err
-    broken = Recorder(
-        tmp_path / "b.mcap",
-        dict(
-            attachments.at_start(
-                Simulation(scene_from_text(PAIR)),
-                "/n",
-                "world",
-                10,
-                {"pose": {}, "twist": {}, "events": "/e", "clock": None, "diagnostics": "/d"},
-            )
-            | {"scene.yaml": ("application/yaml", b"name: 3")}
-        ),
-    )
-    broken.close()
-    assert main(["analyze", str(tmp_path / "b.mcap")]) == 2
-    err = capsys.readouterr().err
-    assert err.count("\n") == 1 and "b.mcap" in err
-
-
 @pytest.mark.turn(3)
 def test_works_without_ros(tmp_path):
     """In a Python where no ROS package can be imported."""
@@ -278,3 +238,12 @@ def test_command_line(capsys):
     with pytest.raises(SystemExit) as ended:
         main(["nonsense"])
     assert ended.value.code == 2
+
+
+def test_an_invalid_scene_in_a_recording_gives_one_line(tmp_path, capsys):
+    topics = {"pose": {}, "twist": {}, "events": "/e", "clock": None, "diagnostics": "/d"}
+    at_start = attachments.at_start(Simulation(scene_from_text(PAIR)), "/n", "world", 10, topics)
+    Recorder(tmp_path / "b.mcap", {**at_start, "scene.yaml": ("application/yaml", b"name: 3")}).close()
+    assert main(["analyze", str(tmp_path / "b.mcap")]) == 2
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1 and "b.mcap" in err

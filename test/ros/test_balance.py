@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from scene_files import filled, text_of
 
 from liegroup_core import Simulation
 from liegroup_core.scene.load import scene_from_text
@@ -17,16 +18,7 @@ from liegroup_sim_ros.report.summary import balance_table
 
 MASS, SPEED, G, END = 2.0, 1.0, 9.81, 3.0  # kg, m/s, m/s^2, s
 K, C = 8.0, 0.4  # N/m, N s/m
-SLIDE = """
-name: slide
-gravity: [{gravity}, 0, 0]
-bodies:
-  - {{name: block, mass: 2.0, inertia: [0.1, 0.2, 0.3], linear_velocity: [{speed}, 0, 0]}}
-joints:
-  - {{name: rail, type: prismatic, parent: world, child: block, parent_frame: {{axis: [1, 0, 0]}},
-     child_frame: {{axis: [1, 0, 0]}}{joint}}}
-{more}
-"""
+SLIDE = text_of("slide.yaml")
 FORCE = "forces:\n  - {{name: acts, type: {}}}"
 
 
@@ -119,7 +111,7 @@ def test_work_is_that_of_the_closed_form(tmp_path, monkeypatch, case, piece):
     term, given, expected = CASES[case]
     given = {"gravity": 0, "joint": "", "more": "", "speed": SPEED} | given
     wrench = given.pop("wrench", None)
-    figures = analysed(tmp_path / "a.mcap", scene_from_text(SLIDE.format(**given)), wrench).figures
+    figures = analysed(tmp_path / "a.mcap", scene_from_text(filled(SLIDE, **given)), wrench).figures
     balance = figures["balance"]
     work = balance["work_J"]
     # A sine of w = 4 rad/s (the power of an oscillation of 2 rad/s) sampled every h = 10 ms has, between
@@ -137,7 +129,7 @@ def test_work_is_that_of_the_closed_form(tmp_path, monkeypatch, case, piece):
 
 def test_energy_that_no_work_explains_is_a_problem(tmp_path):
     """A block with drag gets a tenth more speed at 1.5 s, so its energy jumps by 21 %."""
-    scene = scene_from_text(SLIDE.format(gravity=0, joint="", speed=SPEED, **CASES["drag"][1]))
+    scene = scene_from_text(filled(SLIDE, gravity=0, joint="", speed=SPEED, **CASES["drag"][1]))
     figures = analysed(tmp_path / "a.mcap", scene, faster_from=1.5).figures
     jump = 0.21 * kinetic(SPEED * math.exp(-0.4 / MASS * 1.51))
     # The work between the samples around the jump is known to about its power, 0.4 N s/m v^2, times 10 ms.
@@ -149,8 +141,8 @@ def test_energy_that_no_work_explains_is_a_problem(tmp_path):
 
 def test_the_balance_of_a_conservative_scene_is_its_energy_drift(tmp_path):
     """Both are the change of the recorded energy."""
-    text = SLIDE.format(
-        gravity=0, joint="", speed=1, more=FORCE.format(f"linear_spring_damper, joint: rail, stiffness: {K}")
+    text = filled(
+        SLIDE, gravity=0, joint="", speed=1, more=FORCE.format(f"linear_spring_damper, joint: rail, stiffness: {K}")
     )
     figures = analysed(tmp_path / "a.mcap", scene_from_text(text)).figures
     assert figures["balance"]["remainder_J"] == pytest.approx(figures["energy"]["final_J"], rel=1e-12)
@@ -161,7 +153,7 @@ def test_the_balance_of_a_conservative_scene_is_its_energy_drift(tmp_path):
 def test_curves_of_a_joint_are_those_of_the_closed_form(tmp_path):
     """Position, velocity, effort and power of a servo that oscillates; units on the axes."""
     more = FORCE.format(f"linear_servo, joint: rail, stiffness: {K}, damping: {C}")
-    scene = scene_from_text(SLIDE.format(gravity=0, joint="", speed=SPEED, more=more))
+    scene = scene_from_text(filled(SLIDE, gravity=0, joint="", speed=SPEED, more=more))
     analysis = analysed(tmp_path / "a.mcap", scene)
     times, _, values = analysis.columns([f"rail.{part}" for part in PARTS])
     x, v = oscillation(times)

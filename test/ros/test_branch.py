@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped
-from node_process import PUSH, NodeProcess, output_of, python, refusal, stamp_ns
+from node_process import PUSH, NodeProcess, output_of, python, stamp_ns
 
 from liegroup_sim_ros.commands.main import main
 from liegroup_sim_ros.playback.branch import Branches
@@ -260,29 +260,3 @@ def test_replay_from_an_instant_starts_a_node(client, recorded, tmp_path):
     apart = branch.pose["puck"].position[-1] - original.pose["puck"].position[row]
     assert apart[0] < -0.1
     assert main(["replay", str(path), "--resimulate"]) == 0
-
-
-@pytest.mark.parametrize(
-    "parameters, text",
-    [
-        ({"scene": "heavy_top"}, "parameter scene: cannot be combined with continue_from"),
-        ({"step": 0.001}, "parameter step: cannot be combined with continue_from"),
-        ({"continue_at": 1000.0}, "1000 s is not in the recording, which is from 0 to "),
-        ({"continue_from": "no.mcap"}, "parameter continue_from: no.mcap: "),
-    ],
-)
-def test_a_continuation_that_is_not_possible_is_refused(recorded, capfd, parameters, text):
-    assert text in refusal(capfd, {"continue_from": recorded, **parameters})
-
-
-@pytest.mark.parametrize(
-    "arguments, text",
-    [
-        (["--from", "1", "--resimulate"], "--from cannot be combined with --resimulate"),
-        (["--from", "-1"], "--from must be a number, at least 0, got -1"),
-        (["--inputs"], "--inputs and --record require --from"),
-    ],
-)
-def test_wrong_arguments_of_replay_from(recorded, capsys, arguments, text):
-    assert main(["replay", str(recorded), *arguments]) == 2
-    assert text in capsys.readouterr().err

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from node_process import NodeProcess, stamp_of
+from scene_files import text_of
 
 from liegroup_core import SceneError, Simulation
 from liegroup_core.layout import make_layout
@@ -77,22 +78,7 @@ def test_a_robot_drives_a_circle_and_stops_without_commands(client, tmp_path):
     assert same["identical"] == same["samples"] > 100
 
 
-ROVER = """<robot name="rover">
-  <link name="base_link"><inertial><mass value="5"/><origin xyz="-0.02 0 0.05"/>
-    <inertia ixx="0.05" iyy="0.06" izz="0.08" ixy="0" ixz="0" iyz="0"/></inertial></link>
-  <link name="left_wheel"><inertial><mass value="0.5"/>
-    <inertia ixx="0.001" iyy="0.002" izz="0.001" ixy="0" ixz="0" iyz="0"/></inertial></link>
-  <link name="right_wheel"><inertial><mass value="0.5"/>
-    <inertia ixx="0.001" iyy="0.002" izz="0.001" ixy="0" ixz="0" iyz="0"/></inertial></link>
-  <link name="caster"><inertial><mass value="0.1"/>
-    <inertia ixx="0.0001" iyy="0.0001" izz="0.0001" ixy="0" ixz="0" iyz="0"/></inertial></link>
-  <joint name="left-wheel" type="continuous"><parent link="base_link"/><child link="left_wheel"/>
-    <origin xyz="0 0.15 0"/><axis xyz="0 1 0"/></joint>
-  <joint name="right-wheel" type="continuous"><parent link="base_link"/><child link="right_wheel"/>
-    <origin xyz="0 -0.15 0"/><axis xyz="0 -1 0"/></joint>
-  <joint name="fixed" type="fixed"><parent link="base_link"/><child link="caster"/><origin xyz="-0.15 0 -0.03"/></joint>
-</robot>
-"""
+ROVER = text_of("rover.urdf")
 BESIDE = """
 robot: rover.urdf
 base: floating
@@ -124,26 +110,3 @@ def test_a_robot_file_rolls_on_its_wheels_and_names_its_drive(tmp_path):
     assert load_scene(tmp_path / "scene.yaml").drive == load_scene(tmp_path / "rover.yaml").drive
     options = ["--base", "floating", "--roll", "left-wheel=0.08", "right-wheel=0.08"]
     assert main(["describe", str(tmp_path / "rover.urdf"), "--json", *options]) == 0
-
-
-@pytest.mark.parametrize(
-    "options, text",
-    [
-        (["--roll", "left-wheel=0"], "--roll left-wheel: the radius must be greater than 0, got 0"),
-        (["--roll", "left-wheel"], "--roll left-wheel: give JOINT=RADIUS"),
-        (["--roll", "rear=0.1"], "roll: joint 'rear' is not in the robot; choose one of: fixed, left-wheel"),
-        (["--roll", "fixed=0.1"], 'roll: joint "fixed" is fixed: only revolute joints turn a wheel'),
-        (
-            ["--roll", "left-wheel=0.08", "--start", "base_link={position: [0, 0, 5]}"],
-            '--roll "left_wheel_contact": cannot be assembled',
-        ),
-        (
-            ["--roll", "left-wheel=0.08", "--base", "fixed"],
-            'roll: the axis of joint "left-wheel" is fixed to the world',
-        ),
-    ],
-)
-def test_wrong_wheels_are_refused(tmp_path, capsys, options, text):
-    (tmp_path / "rover.urdf").write_text(ROVER)
-    assert main(["describe", str(tmp_path / "rover.urdf"), "--base", "floating", *options]) == 2
-    assert text in capsys.readouterr().err

@@ -11,8 +11,6 @@ from pathlib import Path
 import pytest
 from waiting import PATIENCE, wait_for
 
-from liegroup_sim_ros.commands.main import main
-
 DEMO = "import sys; from liegroup_sim_ros.commands.main import main; sys.exit(main(sys.argv[1:]))"
 
 
@@ -76,14 +74,3 @@ def test_an_interrupted_demo_leaves_no_processes(tmp_path):
             os.kill(process, signal.SIGKILL)
     assert left == [] and demo.returncode == 130
     assert errors == "liegroup_sim: interrupted\n"
-
-
-def test_wrong_input(tmp_path, capsys):
-    (tmp_path / "file").write_text("")
-    for arguments, said in (
-        (["--seconds", "1"], "--seconds must be at least"),
-        (["--out", str(tmp_path / "file")], "file"),
-    ):
-        assert main(["demo", *arguments]) == 2
-        err = capsys.readouterr().err
-        assert said in err and err.count("\n") == 1

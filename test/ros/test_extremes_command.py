@@ -112,25 +112,3 @@ def test_close_values_are_distinguishable_and_not_truncated(tmp_path, capsys):
     assert [float(x) for x in row.strip("| ").split("|")] == list(wanted.values)
     # The page may be anywhere, so a path of the documentation would lead nowhere.
     assert "](" not in page.read_text()
-
-
-@pytest.mark.parametrize(
-    "wrong, says",
-    [
-        (["--methods", "euler"], "unknown method 'euler'"),
-        (["--axes", "heat"], "unknown axis 'heat'"),
-        (["no_such_scene"], "no_such_scene"),
-        (["--horizon", "nan"], "--horizon"),
-        (["--png", "map.gif"], ".png"),
-        (["--horizon", "1e-4"], "at least 0.001"),
-        (["--json", "/no/such/a.json"], "existing folder"),
-        (["--quick", "--axes", "racket_coarse"], "--quick"),
-        (["--axes", "steps"], "--long"),
-        (["double_pendulum", "--axes", "speed"], "at rest"),
-        (["free_body", "--axes", "racket"], "not available for a SCENE"),
-    ],
-)
-def test_wrong_input_is_one_line(wrong, says, capsys):
-    assert main(["extremes", *wrong]) == 2
-    said = capsys.readouterr().err
-    assert says in said and said.count("\n") == 1

@@ -5,6 +5,7 @@ import contextlib
 import resource
 
 import pytest
+from scene_files import text_of
 
 from liegroup_sim_ros.commands.main import main
 from liegroup_sim_ros.commands.run import EXIT_LOST
@@ -12,14 +13,7 @@ from liegroup_sim_ros.recording import write_run
 
 LIMIT = 3000  # bytes; a larger file is refused as by a full disk
 RUN = ("run", "heavy_top", "--method", "rkmk4", "--duration", "1.5")
-DRIVEN = """
-name: turned
-gravity: [0, 0, -9.81]
-bodies: [{name: arm, mass: 1.0, inertia: [0.1, 0.1, 0.1], com: [0.1, 0, 0]}]
-joints:
-  - {name: axle, type: revolute, parent: world, child: arm, parent_frame: {axis: [0, 1, 0]},
-     child_frame: {axis: [0, 1, 0]}, driven: true}
-"""
+DRIVEN = text_of("turned.yaml")
 
 
 @contextlib.contextmanager

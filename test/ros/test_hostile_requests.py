@@ -12,23 +12,13 @@ import numpy as np
 import pytest
 from hostile import Messages, texts, xacro_text
 from node_process import UNDISCOVERED, NodeProcess
+from scene_files import text_of
 
 from liegroup_core.scene.library import chain
 from liegroup_sim_ros.recording.read import read_recording
 
 NODE = "/besieged"
-SCENE = """
-name: besieged
-gravity: [0, 0, -9.81]
-bodies:
-  - {name: arm, mass: 2, inertia: [3, 3, 1], com: [1, 0, 0]}
-  - {name: stone, mass: 1, inertia: [1, 2, 3]}
-joints:
-  - {name: hinge, type: revolute, parent: world, child: arm,
-     parent_frame: {position: [0, 0, 0]}, child_frame: {position: [0, 0, 0]}}
-forces:
-  - {name: servo, type: servo, joint: hinge, stiffness: 100, damping: 10}
-"""
+SCENE = text_of("besieged.yaml")
 NAMES = ("arm", "stone", "hinge", "arm/pose", "arm/twist", "hinge/position", "hinge/velocity", "body")
 NAMES += ("duration", "force", "point", "scene", "record", "snapshot", "step_count", "real_time_factor")
 REQUESTS = 30  # to each service

@@ -4,6 +4,7 @@
 import math
 
 import pytest
+from scene_files import text_of
 
 from liegroup_core import Simulation
 from liegroup_core.forces.commands import EFFORT, MOVE, Command
@@ -12,16 +13,7 @@ from liegroup_sim_ros.messages.commands import Point
 from liegroup_sim_ros.serving.inbox import Inbox
 from liegroup_sim_ros.serving.trajectory import Waypoints
 
-SCENE = """
-name: rig
-gravity: [0, 0, 0]
-bodies:
-  - {name: wheel, mass: 2, inertia: [1, 1, 0.5]}
-  - {name: nut, mass: 1, inertia: [1, 1, 1], position: [9, 0, 0]}
-joints:
-  - {name: free, type: revolute, parent: world, child: wheel, child_frame: {}, driven: true}
-  - {name: thread, type: screw, pitch: 0.01, parent: world, child: nut, child_frame: {}, driven: true}
-"""
+SCENE = text_of("rig_inbox.yaml")
 
 
 @pytest.fixture

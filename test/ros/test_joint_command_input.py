@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.serialization import serialize_message
 from robot_texts import ARM_URDF
+from scene_files import text_of
 from sensor_msgs.msg import JointState
 
 from liegroup_core import load_scene
@@ -21,20 +22,7 @@ from liegroup_sim_ros.serving.joint_command_input import JointCommandInput
 from liegroup_sim_ros.serving.joint_input import Jumps
 
 NOW, NAN = 5 * 10**9, math.nan
-SCENE = """
-name: joints
-gravity: [0, 0, 0]
-bodies:
-  - {name: one, mass: 1, inertia: [1, 1, 1]}
-  - {name: two, mass: 1, inertia: [1, 1, 1]}
-  - {name: three, mass: 1, inertia: [1, 1, 1]}
-joints:
-  - {name: pin, type: revolute, parent: world, child: one, child_frame: {position: [0, 0, 0]}}
-  - {name: rail, type: prismatic, parent: one, child: two, child_frame: {position: [0, 0, 0]}}
-  - {name: ball, type: spherical, parent: two, child: three, child_frame: {position: [0, 0, 0]}}
-forces:
-  - {name: drive, type: servo, joint: pin, stiffness: 9, damping: 1}
-"""
+SCENE = text_of("joints_joint_command_input.yaml")
 
 
 @pytest.fixture(scope="module")
@@ -213,17 +201,7 @@ def test_truncated_messages_are_refused_whatever_came_before(layout):
     assert reader.refused["damaged"] == len(whole) - 8
 
 
-SCREW = """
-name: vice
-gravity: [0, 0, 0]
-bodies:
-  - {name: nut, mass: 1, inertia: [1, 1, 1]}
-  - {name: loose, mass: 1, inertia: [1, 1, 1], position: [3, 0, 0]}
-joints:
-  - {name: thread, type: screw, pitch: 0.01, parent: world, child: nut, child_frame: {}, driven: true,
-     data: {lower: -4, upper: 4}}
-  - {name: other, type: screw, pitch: 0.01, parent: world, child: loose, child_frame: {}}
-"""
+SCREW = text_of("vice.yaml")
 
 
 def test_a_screw_takes_the_commands_of_a_joint_with_one_coordinate():

@@ -8,6 +8,7 @@ import jsonschema
 import numpy as np
 import pytest
 from rclpy.serialization import deserialize_message
+from scene_files import text_of
 from std_msgs.msg import Float64MultiArray
 
 from liegroup_core import Simulation
@@ -22,19 +23,7 @@ from liegroup_sim_ros.recording.read import read_recording
 
 SCHEMA = Path(__file__).resolve().parents[2] / "config" / "analysis.schema.json"
 # A rod that falls on a compliant stop, with friction that holds it there, and one beside it on a rigid one.
-SCENE = """
-name: stops
-gravity: [0, 0, -9.81]
-bodies:
-  - {name: soft, mass: 1.0, inertia: [0.02, 0.02, 0.02], com: [0.5, 0, 0]}
-  - {name: hard, mass: 1.0, inertia: [0.02, 0.02, 0.02], com: [0.5, 0, 0], position: [0, 1, 0]}
-  - {name: free, mass: 1.0, inertia: [0.02, 0.02, 0.02], position: [0, 5, 0]}
-joints:
-  - {name: cushion, type: revolute, parent: world, child: soft, parent_frame: {axis: [0, 1, 0]},
-     limits: {upper: 0.5, stiffness: 60, damping: 1}, friction: {coulomb: 1.5}}
-  - {name: block, type: revolute, parent: world, child: hard, parent_frame: {position: [0, 1, 0], axis: [0, 1, 0]},
-     limits: {upper: 0.5, restitution: 0.6}}
-"""
+SCENE = text_of("stops.yaml")
 
 
 # The cushion is entered and left without an event of the simulation.

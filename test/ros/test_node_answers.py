@@ -8,20 +8,14 @@ import pytest
 from commanded import Commanded
 from diagnostic_msgs.msg import DiagnosticArray
 from node_process import NodeProcess, on_grid, stamp_of
+from scene_files import text_of
 
 from liegroup_sim_ros.playback.resimulate import resimulate
 from liegroup_sim_ros.recording.read import read_recording
 
 NODE = "/answering"
 PERIOD = 1000.0  # s, of the states
-SCENE = """
-name: bench
-gravity: [0, 0, 0]
-bodies:
-  - {name: wheel, mass: 1.0, inertia: [0.3, 0.4, 0.5]}
-joints:
-  - {name: hinge, type: revolute, parent: world, child: wheel, child_frame: {}}
-"""
+SCENE = text_of("bench_node_answers.yaml")
 
 
 @pytest.mark.turn(3)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from commanded import STEP, Commanded, coordinates, finished_parts
 from node_process import LATCHED, NodeProcess
+from scene_files import text_of
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -17,25 +18,7 @@ from liegroup_sim_ros.playback.branch import Branches
 NODE = "/prescribed"
 MOTION_TIME = 0.04
 # Wheel of 0.5 kg m^2 that turns at 1.5 rad/s, cart with a motion of its own and a pendulum.
-SCENE = """
-name: bench
-gravity: [0, 0, -9.81]
-bodies:
-  - {name: wheel, mass: 1.0, inertia: [0.3, 0.4, 0.5], angular_velocity: [0, 0, 1.5]}
-  - {name: cart, mass: 2.0, inertia: [0.1, 0.1, 0.1], position: [3, 0, 0]}
-  - {name: bob, mass: 1.0, inertia: [0.01, 0.01, 0.01], position: [3, 0, 0], com: [0, 0, -0.5]}
-joints:
-  - {name: hinge, type: revolute, parent: world, child: wheel, child_frame: {}, driven: true}
-  - name: slide
-    type: prismatic
-    parent: world
-    child: cart
-    child_frame: {axis: [1, 0, 0]}
-    driven: true
-    data: {lower: -0.2, upper: 1.2, velocity: 20.0}
-    motion: {times: [0, 0.6, 5], positions: [0, 0.2, -0.1]}
-  - {name: hook, type: revolute, parent: cart, child: bob, child_frame: {axis: [0, 1, 0]}}
-"""
+SCENE = text_of("bench_node_driven.yaml")
 
 
 @pytest.fixture(scope="module")

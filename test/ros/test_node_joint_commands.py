@@ -6,24 +6,14 @@ import math
 import pytest
 from commanded import STEP, Commanded, coordinates
 from node_process import NodeProcess, output_of, python
+from scene_files import text_of
 
 from liegroup_sim_ros.playback.resimulate import resimulate
 from liegroup_sim_ros.recording.read import read_recording
 
 NODE = "/commanded"
 # Hinge of inertia 0.5 kg m^2 and slide of 2 kg, each alone on the ground; a free ball joint.
-SCENE = """
-name: bench
-gravity: [0, 0, 0]
-bodies:
-  - {name: wheel, mass: 1.0, inertia: [0.3, 0.4, 0.5]}
-  - {name: sledge, mass: 2.0, inertia: [0.1, 0.1, 0.1], position: [3, 0, 0]}
-  - {name: bob, mass: 1.0, inertia: [0.1, 0.1, 0.1], position: [6, 0, 0]}
-joints:
-  - {name: hinge, type: revolute, parent: world, child: wheel, child_frame: {position: [0, 0, 0]}}
-  - {name: slide, type: prismatic, parent: world, child: sledge, child_frame: {position: [0, 0, 0]}}
-  - {name: ball, type: spherical, parent: world, child: bob, child_frame: {position: [0, 0, 0]}}
-"""
+SCENE = text_of("bench_node_joint_commands.yaml")
 STORM = """
 import sys, time, rclpy
 from rclpy.serialization import serialize_message

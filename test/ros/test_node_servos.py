@@ -8,26 +8,13 @@ import numpy as np
 import pytest
 from commanded import STEP, Commanded, coordinates, finished_parts
 from node_process import LATCHED, NodeProcess, stamp_ns
+from scene_files import text_of
 from scipy.linalg import expm
 from sensor_msgs.msg import JointState
 
 NODE = "/driven"
 # Hinge of 0.5 kg m^2 with a servo, slide of 2 kg with a velocity servo and a limit, a free hinge.
-SCENE = """
-name: bench
-gravity: [0, 0, 0]
-bodies:
-  - {name: wheel, mass: 1.0, inertia: [0.3, 0.4, 0.5]}
-  - {name: sledge, mass: 2.0, inertia: [0.1, 0.1, 0.1], position: [3, 0, 0]}
-  - {name: door, mass: 1.0, inertia: [0.1, 0.1, 0.1], position: [6, 0, 0]}
-joints:
-  - {name: hinge, type: revolute, parent: world, child: wheel, child_frame: {position: [0, 0, 0]}}
-  - {name: slide, type: prismatic, parent: world, child: sledge, child_frame: {position: [0, 0, 0]}}
-  - {name: free, type: revolute, parent: world, child: door, child_frame: {position: [0, 0, 0]}}
-forces:
-  - {name: drive, type: servo, joint: hinge, stiffness: 40, damping: 3}
-  - {name: pull, type: linear_servo, joint: slide, stiffness: 0, damping: 50, effort_limit: 4}
-"""
+SCENE = text_of("bench_node_servos.yaml")
 
 
 def hinge_after(state, position, velocity, t):

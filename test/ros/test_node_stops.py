@@ -16,6 +16,7 @@ from geometry_msgs.msg import WrenchStamped
 from node_process import LATCHED, NodeProcess, stamp_of
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParametersAtomically
+from scene_files import text_of
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
@@ -31,31 +32,9 @@ NODE = "/bouncing"
 SCHEMA = Path(__file__).resolve().parents[2] / "config" / "analysis.schema.json"
 G, E = 9.81, 0.8
 # A ball that bounces on the ground, and two rods with friction, the first with a stop.
-SCENE = """
-name: bounces
-gravity: [0, 0, -9.81]
-bodies:
-  - {name: ball, mass: 2.0, inertia: [0.1, 0.1, 0.1], position: [0, 0, 1]}
-  - {name: upper, mass: 1.0, inertia: [0.02, 0.02, 0.02], com: [0.5, 0, 0]}
-  - {name: lower, mass: 1.0, inertia: [0.02, 0.02, 0.02], com: [0.5, 0, 0], position: [1, 0, 0]}
-joints:
-  - {name: track, type: prismatic, parent: world, child: ball, parent_frame: {}, child_frame: {},
-     limits: {lower: 0, restitution: 0.8}}
-  - {name: shoulder, type: revolute, parent: world, child: upper, parent_frame: {axis: [0, 1, 0]},
-     friction: {coulomb: 2.0}, limits: {upper: 1.2, restitution: 0.6}}
-  - {name: elbow, type: revolute, parent: upper, child: lower, child_frame: {axis: [0, 1, 0]},
-     friction: {coulomb: 1.0}}
-"""
+SCENE = text_of("bounces.yaml")
 # More than a thousand impacts in a step of 1 s: a rebound of 1 um takes 0.9 ms.
-RATTLE = """
-name: rattle
-gravity: [0, 0, -9.81]
-bodies:
-  - {name: ball, mass: 2.0, inertia: [0.1, 0.1, 0.1], position: [0, 0, 1.0e-6]}
-joints:
-  - {name: track, type: prismatic, parent: world, child: ball, parent_frame: {}, child_frame: {},
-     limits: {lower: 0, restitution: 1}}
-"""
+RATTLE = text_of("rattle.yaml")
 
 
 @pytest.fixture(scope="module")

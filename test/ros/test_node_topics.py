@@ -24,6 +24,7 @@ from nav_msgs.msg import Odometry
 from node_process import NodeProcess, on_grid, push_command, refusal, stamp_ns, stamp_of
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
+from scene_files import text_of
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Float64MultiArray, String
@@ -53,19 +54,7 @@ PERIODS = {
     "state_rate": 125,
     "clock_rate": 5,
 }
-ARM = """
-name: arm
-gravity: [0, 0, -9.81]
-bodies:
-  - {name: upper, mass: 1.0, inertia: [0.1, 0.1, 0.02], position: [0.5, 0, 0]}
-  - {name: lower, shape: {type: box, size: [0.1, 0.1, 1], mass: 1}, position: [1.0, 0, -0.5]}
-joints:
-  - {name: shoulder, type: revolute, parent: world, child: upper,
-     child_frame: {position: [-0.5, 0, 0], axis: [0, 1, 0]}}
-  - {name: elbow, type: revolute, parent: upper, child: lower,
-     parent_frame: {position: [0.5, 0, 0], axis: [0, 1, 0]}}
-sensors: [{name: imu, type: imu, body: lower, acceleration_noise: 0.01, angular_velocity_noise: 0.01}]
-"""
+ARM = text_of("arm_node_topics.yaml")
 
 
 class Shown:

@@ -7,7 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from commanded import STEP, Commanded
-from node_process import NodeProcess, refusal, stamp_ns
+from node_process import NodeProcess, stamp_ns
+from scene_files import text_of
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -16,19 +17,7 @@ from liegroup_sim_ros.recording.read import read_recording
 
 NODE = "/led"
 # Two links with servos of 70 rad/s and more, overdamped.
-SCENE = """
-name: arm
-gravity: [0, 0, 0]
-bodies:
-  - {name: upper, mass: 1.0, inertia: [0.01, 0.02, 0.02], position: [0.25, 0, 0]}
-  - {name: lower, mass: 0.5, inertia: [0.005, 0.01, 0.01], position: [0.75, 0, 0]}
-joints:
-  - {name: shoulder, type: revolute, parent: world, child: upper, parent_frame: {position: [0, 0, 0]}}
-  - {name: elbow, type: revolute, parent: upper, child: lower, child_frame: {position: [-0.25, 0, 0]}}
-forces:
-  - {name: s, type: servo, joint: shoulder, stiffness: 2000, damping: 60}
-  - {name: e, type: servo, joint: elbow, stiffness: 500, damping: 12}
-"""
+SCENE = text_of("arm_node_trajectory.yaml")
 
 
 @pytest.fixture(scope="module")
@@ -164,21 +153,3 @@ def test_the_recording_is_repeated_bit_by_bit(process):
     figures = resimulate(recording)
     assert figures["identical"] == figures["samples"] > 300 and figures["must_be_equal"]
     assert len(recording.servo_targets.stamp_ns) > 2000
-
-
-@pytest.mark.parametrize(
-    "parameters, text",
-    [
-        ({"command_joints": "wrist"}, "command_joints: 'wrist' is not a joint"),
-        ({"command_joints": "elbow,elbow"}, "command_joints: a joint occurs twice"),
-        (
-            {"command_joints": "elbow", "command_interface": "velocity"},
-            "command_interface: joint 'elbow' takes no velocity commands: it needs to be driven, or a servo without",
-        ),
-        ({"command_interface": "force"}, "command_interface: unknown value 'force'; choose one of: position"),
-        ({"trajectory_period": 0.0}, "trajectory_period: must be a number from 1e-05"),
-    ],
-)
-def test_wrong_parameters_are_refused_in_one_line(tmp_path, capfd, parameters, text):
-    (tmp_path / "arm.yaml").write_text(SCENE)
-    assert text in refusal(capfd, {"scene": tmp_path / "arm.yaml", **parameters})

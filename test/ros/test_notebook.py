@@ -7,6 +7,7 @@ import re
 import numpy as np
 import pytest
 from browser import CHROMIUM, Browser
+from scene_files import text_of
 
 import liegroup_sim_ros
 from liegroup_core import Simulation, load_scene
@@ -60,15 +61,7 @@ def test_a_report_from_a_later_step_reports_no_problem(monkeypatch):
 
 def test_a_joint_that_has_turned_many_times_meets_its_stop_in_the_copy(tmp_path):
     """After 3 s at 5 rad/s it is at 15 rad; 1 s later it stops at 20 rad."""
-    text = """
-name: winch
-gravity: [0, 0, 0]
-bodies:
-  - {name: drum, mass: 1.0, inertia: [0.1, 0.1, 0.1], angular_velocity: [0, 0, 5]}
-joints:
-  - {name: axle, type: revolute, parent: world, child: drum, parent_frame: {}, child_frame: {},
-     limits: {upper: 20}}
-"""
+    text = text_of("winch_notebook.yaml")
     simulation = Simulation(scene_from_text(text), "rkmk4", 0.01)
     simulation.advance(300)
     recording = read_recording(notebook._record(simulation, 2.0, tmp_path / "run.mcap"))

@@ -12,6 +12,7 @@ import pytest
 from mcap.reader import make_reader
 from rcl_interfaces.msg import Log
 from rclpy.serialization import deserialize_message, serialize_message
+from scene_files import text_of
 
 from liegroup_core import Simulation, load_scene
 from liegroup_sim_ros.analysis.analyse import analyse
@@ -294,48 +295,6 @@ def test_a_failed_run_leaves_the_samples_before_the_failure(tmp_path, capsys, su
         assert analyse(recording, reference=False).figures["faults"]
 
 
-@pytest.mark.parametrize(
-    "change, said",
-    [
-        ({"--duration": "0.0015", "--method": "rkmk4"}, "whole number"),
-        ({"--duration": "0.0015", "--step": "1e-3"}, "whole number"),
-        ({"--duration": "0"}, "positive"),
-        ({"--duration": "nan"}, "positive"),
-        ({"--every": "0"}, "--every"),
-        ({"--method": "rkmk5"}, "rkmk54"),
-        ({"--group": "so3"}, "so3xr3"),
-        ({"--step": "-1"}, "step"),
-        ({"--stabilisation": "x"}, "projection"),
-        ({"--rtol": "1e-3", "--method": "rkmk4"}, "no option 'rtol'"),
-        ({"--rtol": "1e-3"}, "an accuracy sets rtol; remove it, or give a method"),
-        ({"--accuracy": "0"}, "accuracy must be a number from 1e-13 to 1, got 0"),
-        ({"--accuracy": "nan"}, "accuracy must be a number from 1e-13 to 1, got nan"),
-        ({"--horizon": "-1"}, "horizon must be a number from 1e-09 to 1e+06 s, got -1"),
-        ({"--accuracy": "1e-6", "--method": "rkmk4"}, "--accuracy cannot be combined with --method: remove one"),
-        ({"--horizon": "5", "--method": "rkmk4"}, "--horizon cannot be combined with --method: remove one of them"),
-        ({"scene": "nope"}, "nope"),
-        ({"--out": "a.txt"}, ".npz, .csv or .mcap"),
-        ({"--out": "none/a.npz"}, "cannot be written"),
-    ],
-)
-def test_wrong_input_gives_one_line_and_no_file(tmp_path, monkeypatch, capsys, change, said):
-    monkeypatch.chdir(tmp_path)
-    given = {"scene": "heavy_top", "--duration": "0.01", "--out": "a.npz"} | change
-    arguments = [word for key, value in given.items() if key != "scene" for word in (key, value)]
-    assert main(["run", given["scene"], *arguments]) == 2
-    out, err = capsys.readouterr()
-    assert out == "" and said in err and err.count("\n") == 1 and "Traceback" not in err
-    assert not list(tmp_path.iterdir())
-
-
-def test_existing_files_are_not_overwritten(tmp_path, capsys):
-    for suffix in ("npz", "mcap"):
-        path = tmp_path / f"a.{suffix}"
-        path.write_bytes(b"mine")
-        assert main(["run", "heavy_top", "--duration", "0.01", "--out", str(path)]) == 2
-        assert "already exists" in capsys.readouterr().err and path.read_bytes() == b"mine"
-
-
 @pytest.mark.turn(3)
 def test_a_recording_needs_interface_packages_but_not_rclpy(tmp_path):
     """One line if the packages are missing; with them, rclpy is not imported."""
@@ -515,22 +474,7 @@ def test_a_run_writes_the_impulses_of_all_joints_at_impacts(tmp_path):
     assert "impulses" not in np.load(tmp_path / "plain.npz")
 
 
-SENSED = """
-name: sensed
-gravity: [0, 0, -9.81]
-bodies:
-  - {name: rod, shape: {type: cylinder, radius: 0.02, length: 1, mass: 2, position: [0, 0, -0.5]},
-     angular_velocity: [0, 2, 0]}
-joints:
-  - {name: hinge, type: revolute, parent: world, child: rod, parent_frame: {axis: [0, 1, 0]},
-     child_frame: {axis: [0, 1, 0]}}
-sensors:
-  - {name: imu, type: imu, body: rod, frame: {position: [0, 0, -1]}, acceleration_noise: 0.05, seed: 3}
-  - {name: disc, type: encoder, joint: hinge, resolution: 0.00153398}
-  - {name: bearing, type: force_torque, joint: hinge, force_noise: 0.1}
-  - {name: tip, type: pose, body: rod, frame: {position: [0, 0, -1]}}
-  - {name: wire, type: distance, parent: world, child: rod, parent_point: [1, 0, 0], child_point: [0, 0, -1]}
-"""
+SENSED = text_of("sensed_offline.yaml")
 
 
 def test_a_run_writes_the_sensors_of_the_scene(tmp_path):

@@ -9,25 +9,13 @@ from geometry_msgs.msg import PoseStamped, TwistStamped
 from node_process import NodeProcess, stamp_ns
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter
+from scene_files import text_of
 from sensor_msgs.msg import JointState
 
 from liegroup_sim_ros.commands.main import main
 
 NODE = "/own"
-SCENE = """
-name: rig
-gravity: [0, 0, 0]
-bodies:
-  - {name: arm, mass: 2, inertia: [3, 3, 1], com: [1, 0, 0]}
-  - {name: stone, mass: 2, inertia: [3, 2, 4], position: [5, 6, 7]}
-  - {name: crank, mass: 1, inertia: [1, 1, 1], position: [9, 0, 0]}
-  - {name: slide, mass: 1, inertia: [1, 1, 1], position: [9, 0, 0]}
-joints:
-  - {name: axle, type: revolute, parent: world, child: crank, child_frame: {}}
-  - {name: rail, type: prismatic, parent: crank, child: slide, child_frame: {axis: [1, 0, 0]}}
-  - {name: hinge, type: spherical, parent: world, child: arm,
-     parent_frame: {position: [0, 0, 0]}, child_frame: {position: [0, 0, 0]}}
-"""
+SCENE = text_of("rig_own_services.yaml")
 
 
 class Own:

@@ -9,6 +9,7 @@ import yaml
 from mcap.reader import make_reader
 from node_process import NodeProcess
 from rosbags.highlevel import AnyReader
+from scene_files import text_of
 
 from liegroup_core import Simulation
 from liegroup_core.scene.load import scene_from_text
@@ -20,18 +21,7 @@ from liegroup_sim_ros.recording.damaged_survey import survey
 from liegroup_sim_ros.recording.write import Recorder, RecorderError
 
 # Turns are counted, a motor depends on time, and a method keeps the size of its substep.
-SCENE = """
-name: wound
-gravity: [0, 0, -9.81]
-bodies:
-  - {name: wheel, mass: 1.0, inertia: [0.1, 0.12, 0.05], angular_velocity: [0, 0, 40]}
-  - {name: free, mass: 1.0, inertia: [0.2, 0.3, 0.4], position: [3, 0, 0],
-     angular_velocity: [1, 2, 3]}
-joints:
-  - {name: hub, type: revolute, parent: world, child: wheel, child_frame: {axis: [0, 0, 1]}}
-forces:
-  - {name: coil, type: torsional_spring_damper, joint: hub, stiffness: 0.05, damping: 0.001}
-"""
+SCENE = text_of("wound_parts.yaml")
 
 
 def content(path):

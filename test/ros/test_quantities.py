@@ -9,6 +9,7 @@ import pandas
 import pyarrow.parquet
 import pytest
 from numpy.testing import assert_allclose
+from scene_files import text_of
 from waiting import wait_for
 
 from liegroup_core import Simulation, load_scene
@@ -26,30 +27,7 @@ from liegroup_sim_ros.view.local import Local
 from liegroup_sim_ros.view.page import Page
 
 # A servo, a drive, a spring, a loop-free tree, and a sensor of each type.
-ARM = """
-name: arm
-gravity: [0.3, 0.2, -9.81]
-bodies:
-- {name: link, mass: 2, inertia: [0.1, 0.2, 0.2], com: [0.3, 0, 0], angular_velocity: [0, 0.5, 0]}
-- {name: cart, mass: 1, inertia: [0.1, 0.1, 0.1], position: [0.6, 0, 0],
-   angular_velocity: [0, 0.5, 0], linear_velocity: [0, 0, -0.3]}
-- {name: hand, mass: 0.5, inertia: [0.01, 0.02, 0.02], com: [0, 0, -0.1], position: [0.6, 0, 0],
-   angular_velocity: [0, 0.5, 0], linear_velocity: [0, 0, -0.3]}
-joints:
-- {name: hinge, type: revolute, parent: world, child: link, child_frame: {axis: [0, 1, 0]}}
-- {name: rail, type: prismatic, parent: link, child: cart, child_frame: {axis: [1, 0, 0]}, driven: true,
-   motion: {times: [0, 1, 2], positions: [0, 0.05, 0]}}
-- {name: wrist, type: revolute, parent: cart, child: hand, child_frame: {axis: [0, 1, 0]}}
-forces:
-- {name: motor, type: servo, joint: hinge, stiffness: 50, damping: 2, position: 0.2}
-- {name: spring, type: torsional_spring_damper, joint: wrist, stiffness: 1, damping: 0.02}
-sensors:
-- {name: imu, type: imu, body: hand}
-- {name: cell, type: force_torque, joint: wrist, measures: transmitted}
-- {name: encoder, type: encoder, joint: hinge}
-- {name: tip, type: pose, body: hand, frame: {position: [0, 0, -0.2]}}
-- {name: wire, type: distance, parent: world, child: hand, parent_point: [0, 1, 0]}
-"""
+ARM = text_of("arm_quantities.yaml")
 SETTINGS = {"method": "rkmk4", "step": 2e-3}
 COMMAND = ["--method", "rkmk4", "--step", "2e-3", "--duration", "0.2"]
 EVERY = 25  # steps between samples: five of them
@@ -223,17 +201,3 @@ def test_commanded_efforts_reach_what_is_measured_directly():
     simulation = Simulation(scene_from_text(ARM), **SETTINGS, quiet=True)
     found = linearise(simulation, ["wrist.effort", "hinge.effort"], ["hinge.effort", "cell.2"])
     assert_allclose(found.D, [[0, 1], [1, 0]], atol=1e-7)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "text"),
-    [
-        (["--out", "a.mcap", "--columns", "energy"], "a recording has topics, not columns"),
-        (["--out", "a.csv", "--columns", "energy", "--reactions"], "--columns cannot be combined with --reactions"),
-        (["--out", "a.csv", "--columns", "speed"], "unknown column 'speed'"),
-    ],
-)
-def test_wrong_columns_are_refused_in_one_line(arguments, text, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    assert main(["run", "heavy_top", *COMMAND, *arguments]) == 2
-    assert text in capsys.readouterr().err and not list(tmp_path.iterdir())

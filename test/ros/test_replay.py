@@ -12,7 +12,6 @@ from node_process import PATIENCE, PUSH, python, stamp_of
 from rosgraph_msgs.msg import Clock
 
 from liegroup_core.scene.load import scene_from_text
-from liegroup_sim_ros.commands.main import main
 from liegroup_sim_ros.recording.read import read_recording
 
 STEPS = 2000  # 4 s of simulated time, 201 samples
@@ -121,16 +120,3 @@ def test_replay_in_a_loop(client, log):
         replay.process.send_signal(signal.SIGTERM)
         _, err = replay.process.communicate(timeout=PATIENCE)
         assert replay.process.returncode == 130 and "Traceback" not in err
-
-
-def test_wrong_input(log, tmp_path, capsys):
-    for arguments, said in (
-        (["--start", "5"], "the recording has 4 s"),
-        (["--rate", "-1"], "must be a number, at least 0"),
-        (["--rate", "nan"], "must be a number, at least 0"),
-    ):
-        assert main(["replay", str(log), *arguments]) == 2
-        assert said in (err := capsys.readouterr().err) and err.count("\n") == 1
-    (tmp_path / "x.mcap").write_bytes(b"x")
-    assert main(["replay", str(tmp_path / "x.mcap")]) == 2
-    assert "not an MCAP file" in capsys.readouterr().err

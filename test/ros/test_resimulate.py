@@ -3,6 +3,7 @@
 
 import pytest
 from made_run import record
+from scene_files import text_of
 from scene_runs import Run
 
 from liegroup_core import Simulation, load_scene
@@ -16,22 +17,8 @@ from liegroup_sim_ros.recording.read import read_recording
 STEP = 1e-3
 # What all methods can simulate: a top on a ball joint, with a centre of mass off its frame's
 # origin, and a free body.
-TOP = """
-name: top
-gravity: [0, 0, -9.81]
-bodies:
-  - {name: top, mass: 2.0, inertia: [0.02, 0.021, 0.03], com: [0.1, 0, 0.3],
-     angular_velocity: [1, 2, 30]}
-joints:
-  - {name: pivot, type: spherical, parent: world, child: top, child_frame: {position: [0, 0, 0]}}
-"""
-FREE = """
-name: free
-gravity: [0, 0, -9.81]
-bodies:
-  - {name: box, mass: 1.0, inertia: [0.1, 0.2, 0.25], com: [0.01, 0.02, 0],
-     angular_velocity: [1, 5, 2]}
-"""
+TOP = text_of("top_resimulate.yaml")
+FREE = text_of("free_resimulate.yaml")
 
 
 @pytest.mark.parametrize("method", METHODS)

@@ -7,13 +7,14 @@ from pathlib import Path
 
 import pytest
 from robot_texts import ARM_MJCF, ARM_SDF, ARM_URDF
+from scene_files import filled
 from volume import VERIFY
 
 COUNT = 200 if VERIFY else 40
 SECONDS = 20.0  # of CPU time for a file; far above that of a correct one
 # MiB above what the program has after a correct file, and those of a compiler of its own process.
 MEMORY, COMPILER = 50.0, 400.0
-TEXTS = {"urdf": ARM_URDF, "sdf": ARM_SDF, "xml": ARM_MJCF.format(upper="0.02 0.03 0.025 0.001 -0.002 0.0015")}
+TEXTS = {"urdf": ARM_URDF, "sdf": ARM_SDF, "xml": filled(ARM_MJCF, upper="0.02 0.03 0.025 0.001 -0.002 0.0015")}
 # Prints: refused files, seconds of the slowest, MiB of this process before and after, MiB of a child.
 CODE = """
 import contextlib, io, re, resource, sys, time

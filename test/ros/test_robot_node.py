@@ -8,6 +8,7 @@ from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter
 from robot_texts import ARM_SDF, ARM_URDF, five_bar_urdf, scissor_lift, stewart_sdf
 from rosbags.typesys import Stores, get_typestore
+from scene_files import text_of
 from scene_runs import Run
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import JointState
@@ -270,13 +271,7 @@ def test_other_parsers_place_the_links_as_tf_does(name, tmp_path):
 LOOSE = {"stewart.sdf": 7, "ball_chain": 10, "apart.xml": 1, "slider_crank": 1}  # links that are floating
 
 
-APART_XML = """<mujoco><worldbody><body name="first" pos="0 0 1"><freejoint/>
-<geom type="box" size="0.1 0.2 0.3"/>
-<body name="second" pos="0.3 0 0">
-<joint name="a" type="hinge" axis="0 1 0" pos="0.1 0.2 0"/>
-<joint name="b" type="hinge" axis="1 1 0"/>
-<joint name="c" type="slide" axis="0 1 1"/>
-<geom type="capsule" fromto="0 0 0 0 0 -0.5" size="0.05"/></body></body></worldbody></mujoco>"""
+APART_XML = text_of("apart_xml.xml")
 
 
 VISUAL = """<visual name="v"><pose>0.1 0 0 0 0.5 0</pose>

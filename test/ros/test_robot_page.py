@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from node_process import NodeProcess
-from robot_texts import ARM_URDF, five_bar_urdf
+from robot_texts import five_bar_urdf
+from scene_files import text_of
 from sensor_msgs.msg import JointState
 
 from liegroup_core import Simulation, load_scene
@@ -112,32 +113,6 @@ def test_import_writes_what_load_scene_takes(folder, capsys):
     assert "name: left_bar" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    "arguments, expected",
-    [
-        (["--out", "arm.urdf"], "arm.urdf exists"),
-        (["--start", "elbow"], "--start elbow: give JOINT=VALUE"),
-        (["--start", "elbow=1", "elbow=2"], "--start gives elbow twice"),
-        (["--start", "elbov=1"], 'did you mean "elbow"'),
-        (["--start", "base={positon: [0, 0, 1]}"], "--start base: Start: unknown key"),
-        (["--start", "base={position: [0, 0, 1]}"], 'start: link "base" does not float'),
-        (["--start-velocity", "elbow=1", "--lock", "elbow=0"], '"elbow" does not move'),
-        (["--lock", "flange=1"], "is fixed: only joints with one coordinate"),
-        (["--pose", "home"], "pose 'home' is not in the robot"),
-        (["--only", "nothing"], "'nothing' is not in the robot"),
-        (["m:=1"], "is not a xacro file and takes no arguments: omit m"),
-        (["m"], "m: give arguments of xacro as NAME:=VALUE"),
-        (["m:=1", "m:=2"], "argument m is given twice"),
-        (["--close", "tool", "base", "glue"], "type 'glue'"),
-        (["--close", "tool", "lower", "fixed"], "move as one body"),
-    ],
-)
-def test_wrong_arguments_have_one_line(arguments, expected, folder, capsys):
-    assert main(["import", "arm.urdf", *arguments]) == 2
-    errors = capsys.readouterr().err
-    assert errors.count("\n") == 1 and expected in errors, errors
-
-
 def test_options_of_robots_work_with_run_and_describe(folder, capsys):
     start = ["--start", "shoulder=0.3", "elbow=0.5"]
     assert main(["run", "arm.urdf", "--duration", "0.1", "--out", "a.npz", *start]) == 0
@@ -177,36 +152,7 @@ def test_what_cannot_move_is_refused_by_import_as_by_describe(folder, capsys):
     assert said[0].count("\n") == 1 and not Path("all.yaml").exists()
 
 
-@pytest.mark.parametrize("path", ["", "."])
-def test_a_folder_is_no_robot(path, folder, capsys):
-    for arguments in ([], ["--base", "fixed"]):
-        assert main(["import", path, *arguments]) == 2
-        errors = capsys.readouterr().err
-        assert errors.count("\n") == 1 and "is not a file" in errors, errors
-
-
-@pytest.mark.parametrize("command", ["describe", "run", "trade", "sweep", "import"])
-def test_a_wrong_robot_file_ends_every_command_with_2(command, folder, capsys):
-    Path("bad.urdf").write_text(ARM_URDF.replace('"upper"/>', '"uper"/>', 1))
-    more = {
-        "run": ["--duration", "1", "--out", "a.npz"],
-        "sweep": ["--vary", "mass=1:2", "--duration", "1", "--out", "a.parquet"],
-    }.get(command, [])
-    assert main([command, "bad.urdf", *more]) == 2
-    errors = capsys.readouterr().err
-    assert errors.startswith("liegroup_sim: bad.urdf:28: ") and errors.count("\n") == 1, errors
-
-
-BALL_URDF = """<robot name="ball"><link name="base"/>
-  <link name="ball">
-    <inertial><origin xyz="0.5 0 0"/><mass value="1"/>
-      <inertia ixx="0.01" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial>
-    <visual><origin xyz="0.5 0.1 0" rpy="0 0 1.5707963267948966"/>
-      <geometry><mesh filename="meshes/ball.stl" scale="0.2 0.1 0.1"/></geometry></visual>
-    <visual><geometry><mesh filename="package://nowhere/rod.stl"/></geometry></visual>
-  </link>
-  <joint name="pin" type="continuous"><parent link="base"/><child link="ball"/>
-    <axis xyz="0 1 0"/></joint></robot>"""
+BALL_URDF = text_of("ball.urdf")
 
 
 @pytest.mark.turn(3)
@@ -262,20 +208,7 @@ def test_a_damaged_mesh_leaves_a_box(tmp_path):
     assert not shapes and any("unreadable mesh files: 1, the first is meshes/ball" in r for r in remarks)
 
 
-DRAWN = """<mujoco><compiler angle="radian"/><default><default class="col"><geom group="3"/></default></default><asset>
-<texture name="t" type="2d" builtin="flat" rgb1="1 .5 .25" width="4" height="4"/>
-<material name="textured" texture="t" rgba="1 1 .5 1"/><material name="red" rgba=".9 .1 .1 .5"/>
-<mesh name="m" file="m.stl" scale=".002 .001 .001"/><mesh name="mirrored" file="m.stl" scale=".001 -.002 .003"/>
-<mesh name="moved" file="m.stl" scale="-.001 .002 .003" refpos="10 20 30" refquat=".7 .1 .2 .3"/>
-<mesh name="hull" vertex="0 0 0 1 0 0 0 1 0 0 0 1 1 1 1"/></asset><worldbody><geom type="plane" size="1 1 .1"/>
-<geom type="box" size=".2 .2 .05" pos="1 0 0" rgba="0 1 0 1"/>
-<body name="a"><joint/><geom type="mesh" mesh="m" pos=".5 0 0" euler="0 .4 1.5" material="red"/></body>
-<body name="b" pos="0 0 1" euler=".1 .2 .3"><joint/><geom type="mesh" mesh="mirrored" pos="0 1 0"/></body>
-<body name="c"><joint/><geom type="mesh" mesh="moved" material="textured"/></body>
-<body name="d"><joint/><geom type="mesh" mesh="hull" rgba=".1 .2 .3 1"/><geom class="col" size="9"/></body>
-<body name="e"><joint/><geom type="ellipsoid" size=".1 .2 .3" pos="0 0 1" density="1"/></body>
-<body name="f"><joint/><geom class="col" type="capsule" fromto="0 .1 0 0 .1 .4" size=".1" density="1"/></body>
-</worldbody></mujoco>"""
+DRAWN = text_of("drawn.xml")
 
 
 def test_shapes_of_mjcf_are_those_of_the_compiled_model(tmp_path, monkeypatch):
@@ -323,12 +256,7 @@ COLLADA = """<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" versi
 <input semantic="VERTEX" source="#v" offset="0"/><p>0 2 1 0 1 3 1 2 3 2 0 3</p></triangles></mesh></geometry>
 </library_geometries><library_visual_scenes><visual_scene id="vs"><node><instance_geometry url="#g"/></node>
 </visual_scene></library_visual_scenes><scene><instance_visual_scene url="#vs"/></scene></COLLADA>"""
-COLOURED = """<robot name="r"><material name="blue"><color rgba="0 0 1 1"/></material><link name="base"/>
-<link name="l"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
-<visual><geometry><mesh filename="m.dae" scale="1 -2 1"/></geometry><material name="blue"/></visual>
-<visual><geometry><capsule radius="0.1" length="0.4"/></geometry>
-<material name="own"><color rgba="1 0 0 0.5"/></material></visual></link>
-<joint name="j" type="continuous"><parent link="base"/><child link="l"/></joint></robot>"""
+COLOURED = text_of("r_robot_page.urdf")
 COLOURED_SDF = """<sdf version="1.9"><model name="m"><link name="l"><visual name="v">
 <transparency>0.5</transparency><geometry><ellipsoid><radii>0.1 0.2 0.3</radii></ellipsoid></geometry>
 <material><ambient>1 1 1</ambient><diffuse>0 0.5 1 1</diffuse></material></visual></link></model></sdf>"""

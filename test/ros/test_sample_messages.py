@@ -28,6 +28,7 @@ from nav_msgs.msg import Odometry
 from rcl_interfaces.msg import Log
 from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.typesys import Stores, get_typestore
+from scene_files import text_of
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Float32MultiArray, Float64, Float64MultiArray, Int64MultiArray
@@ -60,21 +61,7 @@ SIZES = {
 }
 STAMP = 12_345_678_901
 
-SCENE = """
-name: shapes
-gravity: [0, 0, -9.81]
-bodies:
-  - {name: plain, mass: 21.6, inertia: [0.36, 0.306, 0.09], com: [0.1, 0.2, 0.3],
-     position: [1, 2, 3], rotation_vector: [0.3, -0.4, 0.5], angular_velocity: [1, 2, 3],
-     linear_velocity: [4, 5, 6]}
-  - {name: brick, shape: {type: box, size: [0.1, 0.2, 0.4], mass: 2, position: [0, 0, 0.2],
-     rotation_vector: [0, 0, 0.7]}, position: [0, 3, 0]}
-  - {name: ball, shape: {type: sphere, radius: 0.3, mass: 1}, position: [4, 0, 0]}
-  - {name: bar, shape: {type: rod, length: 2, mass: 1, axis: [1, 0, 0]}, position: [0, 0, 5]}
-joints:
-  - {name: pin, type: revolute, parent: world, child: brick, child_frame: {position: [0, 0, 0.5]}}
-  - {name: rail, type: prismatic, parent: world, child: bar, child_frame: {axis: [1, 0, 0]}}
-"""
+SCENE = text_of("shapes.yaml")
 
 
 @pytest.fixture(scope="module")
@@ -599,22 +586,7 @@ def test_joint_states_follow_a_simulation():
     assert dict(zip(message.name, zip(message.position, message.velocity))) == (sample.joint_coordinates)
 
 
-SENSED = """
-name: sensed
-gravity: [0, 0, -9.81]
-bodies:
-  - {name: rod, mass: 2, inertia: [0.3, 0.3, 0.1], com: [0, 0, -0.7], angular_velocity: [0, 1.3, 0]}
-joints:
-  - {name: hinge, type: revolute, parent: world, child: rod, parent_frame: {axis: [0, 1, 0]},
-     child_frame: {axis: [0, 1, 0]}}
-sensors:
-  - {name: imu, type: imu, body: rod, frame: {position: [0, 0, -0.5]}, acceleration_noise: 0.1,
-     angular_velocity_noise: 0.01}
-  - {name: cell, type: force_torque, joint: hinge, force_noise: 3}
-  - {name: disc, type: encoder, joint: hinge, resolution: 0.001}
-  - {name: mark, type: pose, body: rod, frame: {position: [0.1, 0, -1]}, position_noise: 0.02}
-  - {name: wire, type: distance, parent: world, child: rod, parent_point: [1, 0, 0], child_point: [0, 0, -1]}
-"""
+SENSED = text_of("sensed_sample_messages.yaml")
 
 
 def test_sensors_are_encoded_with_their_noise_and_the_estimated_errors():

@@ -14,6 +14,7 @@ import simulation_interfaces_types as types
 from interface_package import hashes, missing
 from node_process import NodeProcess, output_of, path_with, python
 from rclpy.qos import QoSProfile
+from scene_files import text_of
 
 from liegroup_core import load_scene
 from liegroup_sim_ros.commands.main import main
@@ -23,20 +24,7 @@ from liegroup_sim_ros.recording.read import read_recording
 NODE = "/standard"
 STOPPED, PLAYING, PAUSED, QUITTING = range(4)
 # A pendulum about y, horizontal along x at the start, and a free body whose mass is off its origin.
-SCENE = """
-name: rig
-description: pendulum and stone
-gravity: [0, 0, -10]
-bodies:
-  - {name: arm, mass: 2, inertia: [3, 3, 1], com: [1, 0, 0]}
-  - {name: stone, mass: 1, inertia: [1, 2, 3], com: [0, 0, 1], position: [5, 6, 7],
-     rotation_vector: [0, 0, 1.5707963267948966], angular_velocity: [2, 0, 0],
-     linear_velocity: [1, 0, 0]}
-joints:
-  - {name: hinge, type: revolute, parent: world, child: arm,
-     parent_frame: {position: [0, 0, 0], rotation_vector: [-1.5707963267948966, 0, 0]},
-     child_frame: {position: [0, 0, 0], rotation_vector: [-1.5707963267948966, 0, 0]}}
-"""
+SCENE = text_of("rig_standard_services.yaml")
 FALL = 2.0 * 10.0 * 1.0 / (3.0 + 2.0 * 1.0**2)  # rad/s^2 about y: m g l / (I + m l^2)
 
 

@@ -7,18 +7,14 @@ import signal
 import numpy as np
 import pandas
 import pytest
+from scene_files import text_of
 
 from liegroup_core.study.sweep import sweep as sweeps
 from liegroup_core.study.sweep.file import SweepFile
 from liegroup_sim_ros.commands.main import main
 
 # A free body that falls: z = -g/2 t^2 + v t, whatever its mass.
-FALL = """
-name: fall
-gravity: [0, 0, -9.81]
-bodies:
-  - {name: stone, mass: 1.0, inertia: [0.1, 0.2, 0.25]}
-"""
+FALL = text_of("fall.yaml")
 ARGUMENTS = [
     "--vary",
     "linear_velocity.2=1:3",
@@ -154,68 +150,6 @@ def test_states_are_kept_at_steps_of_an_accuracy(fall, capsys, keep, step):
     assert said in capsys.readouterr().out
     times = pandas.read_parquet("a.parquet")["samples.time"][0]
     assert np.allclose(times, np.arange(len(times)) * float(keep), rtol=1e-12, atol=0)
-
-
-@pytest.mark.parametrize(
-    "change, said",
-    [
-        (["--accuracy", "0"], "accuracy must be a number from 1e-13 to 1, got 0"),
-        (["--horizon", "0"], "horizon must be a number from 1e-09 to 1e+06 s, got 0.0"),
-        (["--keep", "0"], "--keep must be a positive number of seconds"),
-        (["--keep", "0.0123456"], "--keep 0.0123456 s: no suitable step divides it and --duration 0.5 s"),
-    ],
-)
-def test_wrong_input_of_an_accuracy_is_one_line(fall, tmp_path, capsys, change, said):
-    for option in ("--method", "--step"):
-        at = fall.index(option)
-        del fall[at : at + 2]
-    assert main([*fall, *change]) == 2
-    out, err = capsys.readouterr()
-    assert out == "" and said in err and err.count("\n") == 1
-    assert not (tmp_path / "a.parquet").exists()
-
-
-@pytest.mark.parametrize(
-    "change, said",
-    [
-        (["--vary", "weight=1:2"], "the scene has no parameter weight"),
-        (["--vary", "mas=1:2"], "did you mean bodies.stone.mass"),
-        (["--vary", "mass=2:3"], "is given twice"),
-        (["--vary", "gravity.0=a"], "not a number"),
-        (["--vary", "stone.inertia.0"], "must be NAME=LOW:HIGH"),
-        (["--vary", "position.0=3:2"], "3 must be below 2"),
-        (["--samples", "0"], "samples must be at least 1"),
-        (["--seed", "-1"], "the seed must be"),
-        (["--duration", "-1"], "--duration must be"),
-        (["--duration", "0.505"], "whole number"),
-        (["--keep", "0.015"], "--keep 0.015 s is 1.5 steps"),
-        (["--keep", "0"], "--keep must be"),
-        (["--step", "-1"], "step must be"),
-        (["--method", "rk"], "unknown method"),
-        (["--show", "moon.x"], "no numeric column moon.x"),
-        (["--out", "a.csv"], "must end in .parquet"),
-        (["--out", "no/a.parquet"], "cannot be written"),
-        (["--out", "taken.parquet"], "is a file"),
-        (["--accuracy", "1e-6"], "--accuracy cannot be combined with --method"),
-    ],
-)
-def test_wrong_input_is_one_line(fall, tmp_path, capsys, change, said):
-    (tmp_path / "taken.parquet").write_text("mine")
-    assert main([*fall, *change]) == 2
-    out, err = capsys.readouterr()
-    line = err.splitlines()[-1]
-    assert out == "" and said in line and "Traceback" not in err
-    assert (tmp_path / "taken.parquet").read_text() == "mine"
-
-
-@pytest.mark.parametrize("left", ["--samples", "--duration", "--out", "--vary"])
-def test_missing_arguments_are_named(fall, capsys, left):
-    while left in fall:
-        at = fall.index(left)
-        end = next((i for i in range(at + 1, len(fall)) if fall[i].startswith("--")), len(fall))
-        del fall[at:end]
-    assert main(fall) == 2
-    assert left in capsys.readouterr().err
 
 
 def test_a_missing_pyarrow_is_named(fall, capsys, monkeypatch):

@@ -10,7 +10,6 @@ from browser import CHROMIUM, Browser
 
 from liegroup_core import load_scene
 from liegroup_core.methods.table import METHODS
-from liegroup_core.study import tasks
 from liegroup_core.study.trade.trade import Trade
 from liegroup_sim_ros.commands.main import main
 from liegroup_sim_ros.report.trade_page import make_plot
@@ -153,29 +152,3 @@ def test_every_method_has_a_distinct_line_style():
     curves = [trace for trace in make_plot(part)["data"] if trace["name"] in METHODS]
     looks = [(trace["line"]["color"], trace["line"]["dash"]) for trace in curves]
     assert len(set(looks)) == len(looks) == len(METHODS)
-
-
-@pytest.mark.parametrize(
-    "change, said",
-    [
-        (["--methods", "rk"], "unknown method 'rk'"),
-        (["--groups", "so3"], "unknown group"),
-        (["--stabilisation", "glue"], "unknown stabilisation"),
-        (["--horizon", "-1"], "horizon"),
-        (["--horizon", "0.12345"], "three digits"),
-        (["--steps", "0.3", "--horizon", "0.5"], "does not divide a horizon"),
-        (["--budget", "0"], "--budget"),
-        (["--json", "none/a.json"], "cannot be written"),
-        (["--png", "a.txt"], "must end in"),
-        (["nope"], "nope"),
-        (["--scheduler", "tcp://127.0.0.1:9", "--horizon", "0.5", "--methods", "rkmk2"], "no dask scheduler"),
-    ],
-)
-def test_wrong_input_is_one_line(measured, tmp_path, monkeypatch, capsys, change, said):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(tasks, "CONNECTING", 1)  # s instead of 10: nothing listens on that port
-    assert main(["trade", SCENE, *change]) == 2
-    out, err = capsys.readouterr()
-    line = err.splitlines()[-1]
-    assert out == "" and said in line and "Traceback" not in err
-    assert not list(tmp_path.iterdir())

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.serialization import serialize_message
+from scene_files import text_of
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -23,21 +24,7 @@ from liegroup_sim_ros.serving.trajectory import Follower, Waypoints, between
 from liegroup_sim_ros.serving.trajectory_input import TrajectoryInput
 
 NOW = 5 * 10**9
-SCENE = """
-name: joints
-gravity: [0, 0, 0]
-bodies:
-  - {name: one, mass: 1, inertia: [0.01, 0.01, 0.01]}
-  - {name: two, mass: 0.1, inertia: [1, 1, 1], position: [1, 0, 0]}
-  - {name: three, mass: 1, inertia: [1, 1, 1], position: [2, 0, 0]}
-joints:
-  - {name: pin, type: revolute, parent: world, child: one, child_frame: {position: [0, 0, 0]}}
-  - {name: rail, type: prismatic, parent: world, child: two, child_frame: {position: [0, 0, 0]}}
-  - {name: free, type: revolute, parent: world, child: three, child_frame: {position: [0, 0, 0]}}
-forces:
-  - {name: drive, type: servo, joint: pin, stiffness: 100, damping: 2}
-  - {name: pull, type: linear_servo, joint: rail, stiffness: 1000, damping: 20}
-"""
+SCENE = text_of("joints_trajectory.yaml")
 
 
 @pytest.fixture(scope="module")

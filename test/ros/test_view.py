@@ -6,7 +6,6 @@ import importlib.metadata
 import io
 import math
 import shutil
-import threading
 import time
 import urllib.error
 import urllib.request
@@ -16,6 +15,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scene_files import text_of
 from scipy.spatial.transform import Rotation
 from waiting import PATIENCE, wait_for
 
@@ -48,17 +48,7 @@ DRAWS = [
     "--force-device-scale-factor=0.25",
 ]
 SIZE = {"width": 760, "height": 480}  # of the picture, which processors draw
-BLOCK = """
-name: block
-gravity: [0, 0, 0]
-bodies:
-  - {name: box, mass: 2, inertia: [0.34, 0.33, 0.32]}
-  - {name: door, mass: 1, inertia: [0.3, 0.3, 0.5], position: [3, 0, 0]}
-joints:
-  - {name: hinge, type: revolute, parent: world, child: door, child_frame: {position: [0, 0, 0]}}
-forces:
-  - {name: drive, type: servo, joint: hinge, stiffness: 4, damping: 3}
-"""
+BLOCK = text_of("block.yaml")
 BOX = "box"
 CODE = "<img src=x onerror=alert(1)>{x}"  # a text that a page must not take for code
 
@@ -248,11 +238,7 @@ def test_a_reference_is_shown_beside_a_recording(tmp_path):
     assert max(apart) == pytest.approx(found, rel=1e-9) and found > 1e-7
 
 
-ARM = """<robot name="arm"><link name="base"/><link name="lower arm">
-<inertial><origin xyz="0 0 -0.5"/><mass value="1"/><inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/>
-</inertial></link><joint name="front shoulder 100%" type="revolute"><parent link="base"/><child link="lower arm"/>
-<axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="10" velocity="5"/><dynamics damping="0.1" friction="0.2"/>
-</joint></robot>"""
+ARM = text_of("arm_view.urdf")
 
 
 def test_a_robot_with_blanks_in_its_names_is_recorded_read_and_shown(tmp_path):
@@ -596,23 +582,3 @@ def test_other_machines_need_the_token(monkeypatch):
 def test_a_host_of_another_machine_is_refused_in_one_line(capsys):
     assert main(["view", "free_body", "--host", "192.0.2.1", "--no-browser"]) == 2
     assert "give an address of this machine" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    "arguments, text",
-    [
-        ([], "give one scene"),
-        (["free_body", "heavy_top"], "give one scene"),
-        (["nothing.mcap"], "nothing.mcap"),
-        (["free_body", "--node", "/sim_node"], "not both"),
-        (["free_body", "--accuracy", "-1"], "accuracy"),
-        (["free_body", "--port", "99999"], "from 1 to 65535"),
-        (["free_body", "--robot", "a.urdf"], "--robot is for recordings"),
-        (["run.mcap", "--method", "rkmk4"], "--method is for a scene"),
-        (["--node", "/sim_node", "--out", "run.mcap"], "--out is for a scene"),
-    ],
-)
-def test_wrong_arguments_get_one_line(arguments, text, capsys):
-    assert main(["view", *arguments]) == 2
-    said = capsys.readouterr().err.strip()
-    assert text in said and "\n" not in said and threading.active_count() < 20

@@ -1,14 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Random invalid parameter files and scenes: each gives one line on stderr and exit code 2."""
+"""Wrong parameters of the node, and random parameter files and scenes: one line on stderr and exit code 2."""
 
 import json
+from pathlib import Path
 
 import pytest
 import yaml
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
-from node_process import output_of, python
+from made_run import PAIR, record
+from node_process import output_of, python, refusal
+from scene_files import text_of
 
+from liegroup_core.scene.load import scene_from_text
 from liegroup_sim_ros.node.parameters import TABLE
 
 # Runs the node's entry point for every argument list on stdin, with the file descriptor of stderr
@@ -202,3 +206,14 @@ def test_an_invalid_parameter_file_gives_one_line(tmp_path_factory, files):
     for text, code, errors in answers(folder, files, ["--params-file", "{}"]):
         assert code == 2 and errors.count("\n") == 1 and errors.startswith("sim_node: "), (text, code, errors)
         assert len(errors) < 1000
+
+
+@pytest.mark.turn(3)
+def test_every_wrong_parameter_gives_one_line_before_anything_is_recorded(tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    record(tmp_path / "run.mcap", scene_from_text(PAIR), 200)
+    for name in ("two_bodies.yaml", "arm_node_trajectory.yaml"):
+        (tmp_path / name).write_text(text_of(name))
+    for parameters, says in yaml.safe_load(Path(__file__).with_name("wrong_parameters.yaml").read_text()):
+        assert says in refusal(capfd, {"record": tmp_path / "new.mcap", **parameters}), parameters
+        assert not (tmp_path / "new.mcap").exists(), parameters

@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from scene_files import text_of
 
 from liegroup_core.engine import Engine
 from liegroup_core.scene.load import scene_from_text
@@ -12,18 +13,7 @@ from liegroup_core.scene.load import scene_from_text
 pytestmark = pytest.mark.slow
 G = 9.81
 WHEEL, PINION = 0.2, 0.03  # kg m^2
-GEARS = """
-name: gears
-gravity: [0, 0, 0]
-bodies:
-  - {name: wheel, mass: 1.0, inertia: [0.1, 0.1, 0.2], angular_velocity: [0, 0, SPEED]}
-  - {name: pinion, mass: 1.0, inertia: [0.1, 0.1, 0.03], position: [1, 0, 0]}
-joints:
-  - {name: axle, type: revolute, parent: world, child: wheel, child_frame: {}}
-  - {name: pin, type: revolute, parent: world, child: pinion, child_frame: {}}
-couplings:
-  - {name: gears, joint: pin, other: axle, ratio: -3.0, backlash: {gap: 0.1 LIKE}}
-"""
+GEARS = text_of("gears_backlash.yaml")
 
 
 def gears(speed, like=""):
@@ -121,19 +111,7 @@ def test_a_cam_takes_its_follower_along():
 
 def test_rack_with_play():
     """A carriage hits the tooth of its pinion after half the play, and takes it along."""
-    text = """
-name: rack
-gravity: [0, 0, 0]
-bodies:
-  - {name: carriage, mass: 2.0, inertia: [0.1, 0.1, 0.1], linear_velocity: [0.5, 0, 0]}
-  - {name: pinion, mass: 1.0, inertia: [0.1, 0.1, 0.03], position: [0, 1, 0]}
-joints:
-  - {name: slide, type: prismatic, parent: world, child: carriage, parent_frame: {axis: [1, 0, 0]},
-      child_frame: {axis: [1, 0, 0]}}
-  - {name: axle, type: revolute, parent: world, child: pinion, child_frame: {}}
-couplings:
-  - {name: teeth, joint: slide, other: axle, ratio: 0.05, backlash: {gap: 0.004}}
-"""
+    text = text_of("rack_backlash.yaml")
     engine = Engine(scene_from_text(text), "rkmk4", 1e-2)
     engine.advance(10)
     impact, stop = engine.drain_events()
@@ -153,22 +131,7 @@ def test_sleeve_with_stops_and_friction():
     Both coordinates of the cylindrical joint have closed forms: bounces at t0 (1 + 2 e + ...), the
     rotation J w / torque; the translation has no friction, and the rotation no influence.
     """
-    text = """
-name: ring
-gravity: [0, 0, -9.81]
-bodies:
-  - {name: ring, mass: 2.0, inertia: [0.1, 0.1, 0.04], position: [0, 0, 0.5],
-      angular_velocity: [0, 0, 7.0]}
-joints:
-  - name: rod
-    type: cylindrical
-    parent: world
-    child: ring
-    parent_frame: {}
-    child_frame: {}
-    limits: {translation: {lower: 0.0, restitution: 0.5}, rotation: {upper: 5.0, restitution: 0.8}}
-    friction: {rotation: {coulomb: 0.1, static: 0.2}}
-"""
+    text = text_of("ring_backlash_2.yaml")
     engine = Engine(scene_from_text(text), "rkmk4", 1e-2)
     engine.advance(300)
     events = engine.drain_events()
@@ -192,21 +155,7 @@ joints:
 
 def test_sleeve_with_friction_along_and_about():
     """A ring slides down a rod against friction; it turns against other friction."""
-    text = """
-name: ring
-gravity: [0, 0, -9.81]
-bodies:
-  - {name: ring, mass: 2.0, inertia: [0.1, 0.1, 0.04], angular_velocity: [0, 0, -3.0],
-      linear_velocity: [0, 0, 1.5]}
-joints:
-  - name: rod
-    type: cylindrical
-    parent: world
-    child: ring
-    parent_frame: {}
-    child_frame: {}
-    friction: {rotation: {coulomb: 0.05}, translation: {coulomb: 12.0, static: 25.0}}
-"""
+    text = text_of("ring_backlash.yaml")
     engine = Engine(scene_from_text(text), "rkmk4", 1e-2)
     engine.advance(300)
     events = {event.joint: event for event in engine.drain_events()}

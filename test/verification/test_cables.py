@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import yaml
 from convergence import fitted_order
+from scene_files import text_of
 from scipy.optimize import brentq
 
 from liegroup_core import Simulation
@@ -315,18 +316,7 @@ def test_momentum_of_two_tumbling_bodies_on_a_cable():
     assert engine.sample().spatial_momentum == pytest.approx(momentum, abs=1e-11)
 
 
-CHAIN = """
-name: chain
-gravity: [0, 0, -9.81]
-bodies:
-  - {name: upper, mass: 1.0, inertia: [0.02, 0.02, 0.02], com: [0.25, 0.03, 0]}
-  - {name: lower, mass: 0.7, inertia: [0.01, 0.02, 0.03], com: [0.2, 0, 0.02], position: [0.5, 0, 0]}
-joints:
-  - {name: shoulder, type: spherical, parent: world, child: upper, child_frame: {}}
-  - {name: elbow, type: revolute, parent: upper, child: lower, child_frame: {axis: [0.2, 1, 0.1]}}
-  - {name: rope, type: KIND, parent: world, child: lower, parent_frame: {position: [0.9, 0.2, 0.3]},
-      child_frame: {position: [0.4, 0, 0]} LENGTH}
-"""
+CHAIN = text_of("chain_cables.yaml")
 
 
 def test_a_taut_cable_is_a_rod():

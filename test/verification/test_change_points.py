@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from scene_files import text_of
 from scipy.integrate import solve_ivp
 
 from liegroup_core import Simulation
@@ -14,26 +15,7 @@ from liegroup_core.scene.load import scene_from_text
 
 pytestmark = pytest.mark.slow
 G, START, INERTIA = 9.81, 0.3, 1.0 / 12.0
-SCENE = """
-name: slider_crank
-gravity: [0, 0, -9.81]
-bodies:
-  - {name: crank, mass: MC, inertia: [IC0, IC, IC], position: PC, rotation_vector: [0, -0.3, 0],
-     angular_velocity: [0, -RATE, 0], linear_velocity: VC}
-  - {name: coupler, mass: ML, inertia: [IL0, IL, IL], position: PL, rotation_vector: [0, 0.3, 0],
-     angular_velocity: [0, RATE, 0], linear_velocity: VL}
-  - {name: slider, mass: MS, inertia: [0.01, 0.01, 0.01], position: PS, linear_velocity: VS}
-joints:
-  - {name: a, type: revolute, parent: world, child: crank, parent_frame: {axis: [0, 1, 0]},
-     child_frame: {position: [-0.5, 0, 0], axis: [0, 1, 0]}}
-  - {name: p, type: revolute, parent: crank, child: coupler,
-     parent_frame: {position: [0.5, 0, 0], axis: [0, 1, 0]},
-     child_frame: {position: [-0.5, 0, 0], axis: [0, 1, 0]}}
-  - {name: q, type: revolute, parent: coupler, child: slider,
-     parent_frame: {position: [0.5, 0, 0], axis: [0, 1, 0]}, child_frame: {axis: [0, 1, 0]}}
-  - {name: x, type: prismatic, parent: world, child: slider, parent_frame: {axis: [1, 0, 0]},
-     child_frame: {axis: [1, 0, 0]}}
-"""
+SCENE = text_of("slider_crank.yaml")
 
 
 def centres(angle):

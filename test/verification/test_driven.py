@@ -11,6 +11,7 @@ import pytest
 import random_mechanisms
 from convergence import order_by_count
 from given import reference_inputs
+from scene_files import text_of
 from scipy.interpolate import PchipInterpolator, make_interp_spline
 
 from liegroup_core import SceneError, Simulation, load_scene
@@ -23,56 +24,8 @@ pytestmark = pytest.mark.slow
 G = 9.81
 END = 1.5
 
-PIVOT = """
-name: pivot
-gravity: [0, 0, -9.81]
-bodies:
-  - {name: cart, mass: 3.0, inertia: [0.1, 0.1, 0.1]}
-  - {name: rod, mass: 1.0, inertia: [0.02, 0.03, 0.04], com: [0.1, -0.4, 0.05], rotation_vector: [1.2, 0.1, 0.3]}
-joints:
-  - name: slide
-    type: prismatic
-    parent: world
-    child: cart
-    parent_frame: {axis: [1, 0, 0]}
-    driven: true
-    motion: {times: [0, 0.4, 1.1, 1.5], positions: [0, 0.3, -0.2, 0.1]}
-  - {name: ball, type: spherical, parent: cart, child: rod, child_frame: {}}
-"""
-ARM = """
-name: arm
-gravity: [0, 0, -9.81]
-bodies:
-  - name: upper
-    mass: 2.0
-    inertia: [0.02, 0.03, 0.03, 0.001, 0.002, -0.001]
-    com: [0.3, 0, 0]
-    rotation_vector: [0.5, 0.1, 0.3]
-  - name: fore
-    mass: 1.0
-    inertia: [0.01, 0.02, 0.03]
-    position: [0.6, 0, 0]
-    com: [0.2, 0, 0]
-    rotation_vector: [1.5, 0, 0]
-  - {name: nut, mass: 0.5, inertia: [0.01, 0.01, 0.02], position: [1.0, 0, 0], com: [0.05, 0.02, 0]}
-joints:
-  - {name: shoulder, type: revolute, parent: world, child: upper, child_frame: {}}
-  - name: elbow
-    type: revolute
-    parent: upper
-    child: fore
-    child_frame: {}
-    driven: true
-    motion: {times: [0, 0.7, 1.5], positions: [0, 0.3, 7.5]}
-  - name: thread
-    type: screw
-    pitch: 0.03
-    parent: fore
-    child: nut
-    child_frame: {rotation_vector: [0.3, 0.4, 0]}
-    driven: true
-    motion: {times: [0, 1.5], positions: [0, 3.0], velocities: [0, 1.0], accelerations: [2, 0]}
-"""
+PIVOT = text_of("pivot.yaml")
+ARM = text_of("arm_driven.yaml")
 
 
 def driven(scene, joint, **keys):
@@ -313,41 +266,6 @@ def test_a_monotone_motion_stays_between_its_points():
             assert at(row, times[k + 1]) == pytest.approx(at(rows[k + 1], times[k + 1]), rel=1e-9, abs=1e-9)
 
 
-def text_with(text, **keys):
-    """PIVOT with other keys of its slide."""
-    return text.replace(
-        "driven: true\n    motion: {times: [0, 0.4, 1.1, 1.5], positions: [0, 0.3, -0.2, 0.1]}",
-        "\n    ".join(f"{key}: {value}" for key, value in keys.items()),
-    )
-
-
-@pytest.mark.parametrize(
-    "keys, words",
-    [
-        ({"motion": "{times: [0, 1], positions: [0, 1]}"}, "driven: true"),
-        ({"driven": "true", "motion": "{times: [0, 1], positions: [0.5, 1]}"}, "starts at 0.5 m"),
-        ({"driven": "true", "motion": "{times: [0.1, 1], positions: [0, 1]}"}, "start with 0"),
-        ({"driven": "true", "motion": "{times: [0, 1, 1], positions: [0, 1, 1]}"}, "increase"),
-        ({"driven": "true", "motion": "{times: [0], positions: [0]}"}, "two numbers"),
-        ({"driven": "true", "motion": "{times: [0, 1], positions: [0]}"}, "as many"),
-        ({"driven": "true", "motion": "{times: [0, 1], positions: [0, .nan]}"}, "finite"),
-        (
-            {"driven": "true", "motion": "{times: [0, 1], positions: [0, 1], accelerations: [0, 0]}"},
-            "require velocities",
-        ),
-        (
-            {"driven": "true", "motion": "{times: [0, 1], positions: [0, 1], velocities: [0, 0], monotone: true}"},
-            "monotone and velocities",
-        ),
-        ({"driven": "true", "motion": "{times: [0, 1], positions: [0, 1], velocities: [1, 0]}"}, "1 m/s"),
-    ],
-)
-def test_wrong_motions_are_refused(keys, words):
-    with pytest.raises(SceneError, match=words) as error:
-        Simulation(scene_from_text(text_with(PIVOT, **keys)))
-    assert "slide" in str(error.value) or "joints[0]" in str(error.value)
-
-
 def test_what_cannot_be_driven_is_refused():
     with pytest.raises(SceneError, match="ball.*spherical joint cannot be driven"):
         scene_from_text(PIVOT.replace("type: spherical", "type: spherical, driven: true"))
@@ -378,24 +296,7 @@ def test_wrong_commands_are_refused_and_change_nothing():
     assert simulation.input_count == 0
 
 
-GEARS = """
-name: gears
-gravity: [0, 0, -9.81]
-bodies:
-  - {name: a, mass: 1, inertia: [0.1, 0.1, 0.1], com: [0.3, 0, 0]}
-  - {name: b, mass: 2, inertia: [0.2, 0.2, 0.2], com: [0.2, 0, 0.1], position: [2, 0, 0]}
-joints:
-  - name: j
-    type: revolute
-    parent: world
-    child: a
-    child_frame: {axis: [0, 1, 0]}
-    driven: true
-    motion: {times: [0, 1, 2], positions: [0, 1, 3]}
-  - {name: k, type: revolute, parent: world, child: b, child_frame: {axis: [0, 1, 0]}}
-couplings:
-  - {name: mesh, joint: k, other: j, ratio: 0.5}
-"""
+GEARS = text_of("gears_driven.yaml")
 
 
 def test_the_effort_of_a_driven_joint_also_moves_what_is_coupled_to_it():
@@ -436,22 +337,7 @@ def test_a_state_that_is_set_leaves_other_motions_as_they_are(method):
 
 def test_the_first_mode_is_that_of_the_motion_at_the_start():
     """A stage that rests and then accelerates within the first step: its load sticks until then."""
-    scene = scene_from_text(
-        """
-name: stage
-gravity: [0, 0, -9.81]
-bodies:
-  - {name: stage, mass: 1.0, inertia: [1, 1, 1]}
-  - {name: load, mass: 1.0, inertia: [1, 1, 1]}
-joints:
-  - {name: rail, type: prismatic, parent: world, child: stage, parent_frame: {axis: [1, 0, 0]},
-     child_frame: {axis: [1, 0, 0]}, driven: true, motion: {times: [0, 0.001, 0.002, 0.004, 0.006],
-     positions: [0, 0, 1.0e-5, 1.0e-4, 1.0e-4], velocities: [0, 0, 0.02, 0.03, 0], accelerations: [0, 0, 20, 0, 0]}}
-  - {name: slide, type: prismatic, parent: stage, child: load, parent_frame: {axis: [1, 0, 0]},
-     child_frame: {axis: [1, 0, 0]}, friction: {coulomb: 3.0}}
-""",
-        source="t",
-    )
+    scene = scene_from_text(text_of("stage_driven.yaml"), source="t")
     simulation = Simulation(scene, "rkmk4", 0.01)
     assert simulation.modes == {"slide": "stick"}
     simulation.advance(1)

@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 import yaml
+from scene_files import text_of
 from scipy.optimize import brentq
 from stop_scenes import PRESS
 
@@ -17,53 +18,11 @@ pytestmark = pytest.mark.slow
 G = 9.81
 
 # A block on a plane that is inclined by TILT about y; its track is the slope downwards.
-INCLINE = """
-name: incline
-gravity: [0, 0, -9.81]
-bodies:
-  - {name: block, mass: 2.0, inertia: [0.01, 0.02, 0.03], linear_velocity: [0, 0, SPEED],
-      rotation_vector: [0, TURN, 0]}
-joints:
-  - name: slope
-    type: prismatic
-    parent: world
-    child: block
-    parent_frame: {rotation_vector: [0, TURN, 0]}
-    child_frame: {}
-    friction: {coulomb: COULOMB, static: STATIC}
-"""
+INCLINE = text_of("incline_friction.yaml")
 # A block on a driven belt, with a spring to the world.
-BELT = """
-name: belt
-gravity: [0, 0, 0]
-bodies:
-  - {name: belt, mass: 1.0, inertia: [0.1, 0.1, 0.1], linear_velocity: [0.1, 0, 0]}
-  - {name: block, mass: 1.0, inertia: [0.1, 0.1, 0.1], linear_velocity: [0.1, 0, 0]}
-joints:
-  - {name: drive, type: prismatic, parent: world, child: belt, parent_frame: {axis: [1, 0, 0]},
-      driven: true}
-  - name: contact
-    type: prismatic
-    parent: belt
-    child: block
-    parent_frame: {axis: [1, 0, 0]}
-    friction: {coulomb: 2.0, static: 3.0}
-forces:
-  - {name: anchor, type: spring_damper, parent: world, child: block, parent_point: [-10, 0, 0],
-      child_point: [0, 0, 0], stiffness: 25.0, damping: 0.0, rest_length: 10.0}
-"""
+BELT = text_of("belt.yaml")
 # A block on a stiff spring, with a weight of 10 N across its track.
-OSCILLATOR = """
-name: oscillator
-gravity: [0, 0, -10]
-bodies:
-  - {name: block, mass: 1.0, inertia: [1.0, 1.0, 1.0], position: [0.5, 0, 0]}
-joints:
-  - {name: track, type: prismatic, parent: world, child: block, parent_frame: {axis: [1, 0, 0]},
-      child_frame: {axis: [1, 0, 0]}, friction: {FRICTION}}
-forces:
-  - {name: spring, type: linear_spring_damper, joint: track, stiffness: STIFFNESS}
-"""
+OSCILLATOR = text_of("oscillator_friction.yaml")
 
 
 def incline(tilt, coulomb, static, speed=0.0):
@@ -144,18 +103,7 @@ def test_stick_slip_oscillator():
     assert np.subtract(back, away[: len(back)]) == pytest.approx(slip, abs=1e-8)
 
 
-CHAIN = """
-name: chain
-gravity: [0, 0, -9.81]
-bodies:
-  - {name: upper, mass: 1.0, inertia: [0.02, 0.02, 0.02], com: [0.5, 0, 0]}
-  - {name: lower, mass: 1.0, inertia: [0.02, 0.02, 0.02], com: [0.5, 0, 0], position: [1, 0, 0]}
-joints:
-  - {name: shoulder, type: revolute, parent: world, child: upper, parent_frame: {axis: [0, 1, 0]},
-      friction: {coulomb: SHOULDER}}
-  - {name: elbow, type: revolute, parent: upper, child: lower, child_frame: {axis: [0, 1, 0]},
-      friction: {coulomb: ELBOW}}
-"""
+CHAIN = text_of("chain_friction.yaml")
 
 
 @pytest.mark.parametrize(
@@ -249,20 +197,7 @@ def test_crank_with_friction_and_a_stop():
 
 def test_release_time_under_a_growing_load():
     """A servo pulls ever more: the joint breaks away when its torque reaches the stiction."""
-    text = """
-name: lever
-gravity: [0, 0, 0]
-bodies:
-  - {name: base, mass: 1.0, inertia: [0.1, 0.1, 0.1], angular_velocity: [0, 0, 0.3]}
-  - {name: arm, mass: 1.0, inertia: [0.1, 0.1, 0.1]}
-joints:
-  - {name: turn, type: revolute, parent: world, child: base, child_frame: {}, driven: true}
-  - {name: hinge, type: revolute, parent: world, child: arm, child_frame: {},
-      friction: {coulomb: 1.0, static: 1.2}}
-  - {name: between, type: planar, parent: base, child: arm, child_frame: {}}
-forces:
-  - {name: spring, type: torsional_spring_damper, joint: between, stiffness: 2.0, damping: 0.0}
-"""
+    text = text_of("lever_friction.yaml")
     engine = Engine(scene_from_text(text), "rkmk4", 1e-3)
     engine.advance(2500)
     event = engine.drain_events()[0]

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import yaml
 from convergence import fitted_order
+from scene_files import text_of
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 from stop_scenes import chain
@@ -15,26 +16,8 @@ from liegroup_core import SceneError, Simulation, SimulationError
 from liegroup_core.engine import Engine
 from liegroup_core.scene.load import scene_from_text
 
-ROD = """
-name: rod
-gravity: [0, GRAVITY, 0]
-bodies:
-  - {name: rod, mass: 2.0, inertia: [0.1, 0.1, 0.1], com: [0.5, 0, 0], rotation_vector: [0, 0, START],
-      angular_velocity: [0, 0, RATE]}
-joints:
-  - {name: pin, type: revolute, parent: world, child: rod, child_frame: {},
-      friction: {mu: MU, radius: 0.1}}
-"""
-BLOCK = """
-name: incline
-gravity: [0, 0, -9.81]
-bodies:
-  - {name: block, mass: 3.0, inertia: [0.1, 0.1, 0.1], linear_velocity: [0, 0, RATE],
-      rotation_vector: [0, TILT, 0]}
-joints:
-  - {name: slide, type: prismatic, parent: world, child: block, child_frame: {},
-      friction: {mu: 0.4, mu_static: 0.5}}
-"""
+ROD = text_of("rod_friction_by_load.yaml")
+BLOCK = text_of("incline_friction_by_load.yaml")
 MASS, ARM, INERTIA, RADIUS, G = 2.0, 0.5, 0.1 + 2.0 * 0.25, 0.1, 9.81
 
 
@@ -202,26 +185,7 @@ def test_random_chains_obey_the_law(seed):
     assert moving > 100
 
 
-FOUR_BAR = """
-name: four_bar
-gravity: [0, -9.81, 0]
-assemble: true
-bodies:
-  - {name: a, mass: 1.0, inertia: [0.01, 0.01, 0.01], com: [0.1, 0, 0], initial: fixed,
-      rotation_vector: [0, 0, 1.0], angular_velocity: [0, 0, 2]}
-  - {name: b, mass: 1.5, inertia: [0.02, 0.02, 0.02], com: [0.25, 0, 0], position: [0.1, 0.17, 0],
-      rotation_vector: [0, 0, 0.2]}
-  - {name: c, mass: 1.2, inertia: [0.02, 0.02, 0.02], com: [0.2, 0, 0], position: [0.45, 0, 0],
-      rotation_vector: [0, 0, 1.3]}
-joints:
-  - {name: A, type: revolute, parent: world, child: a, child_frame: {}, BEARING}
-  - {name: B, type: revolute, parent: a, child: b, parent_frame: {position: [0.2, 0, 0]},
-      child_frame: {}, BEARING}
-  - {name: C, type: revolute, parent: b, child: c, parent_frame: {position: [0.5, 0, 0]},
-      child_frame: {position: [0.4, 0, 0]}, BEARING}
-  - {name: D, type: revolute, parent: world, child: c, parent_frame: {position: [0.45, 0, 0]},
-      child_frame: {}, BEARING}
-"""
+FOUR_BAR = text_of("four_bar.yaml")
 
 
 @pytest.mark.turn(3)

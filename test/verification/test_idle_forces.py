@@ -6,6 +6,7 @@ import copy
 import numpy as np
 import pytest
 import yaml
+from scene_files import text_of
 
 from liegroup_core import Simulation
 from liegroup_core.scene.load import scene_from_text
@@ -18,20 +19,7 @@ SIZES = {
 FRAMES = {"parent_frame": {}, "child_frame": {}}
 
 # At t = 1.86 s the spring is without force while `a` leaves its stop, so all accelerations vanish with the effort.
-TWO_MASS = """
-name: two_mass
-gravity: [0, 0, 0]
-assemble: true
-bodies:
-  - {name: a, mass: 1, inertia: [0.01, 0.01, 0.01]}
-  - {name: b, mass: 2, inertia: [0.01, 0.01, 0.01]}
-joints:
-  - {name: pa, type: prismatic, parent: world, child: a, parent_frame: {}, child_frame: {}, coordinate: 0.0, rate: 0.0,
-      limits: {lower: 0.0, upper: 0.1}}
-  - {name: pb, type: prismatic, parent: a, child: b, parent_frame: {}, child_frame: {}, coordinate: 0.3, rate: -1.5}
-forces:
-  - {name: spring, type: linear_spring_damper, joint: pb, stiffness: 300, damping: 0.1, rest_position: 0.3}
-"""
+TWO_MASS = text_of("two_mass.yaml")
 
 
 def draw(seed):

@@ -3,6 +3,7 @@
 
 import numpy as np
 import pytest
+from scene_files import text_of
 
 from liegroup_core import Simulation, SimulationError, load_scene
 from liegroup_core.linear import inverse_dynamics
@@ -80,15 +81,7 @@ def test_efforts_are_those_of_driven_joints(name):
     assert found.residual.max() < 1e-11
 
 
-PENDULUM = """
-name: pendulum
-gravity: [0, 0, -9.81]
-bodies: [{name: rod, mass: 1.0, inertia: [0.02, 0.02, 0.01], position: [0, 0, -0.5]}]
-joints:
-  - {name: pin, type: revolute, parent: world, child: rod, friction: {FRICTION}, limits: {lower: -1.0, upper: 1.0},
-     parent_frame: {rotation_vector: [-1.5707963267948966, 0, 0]},
-     child_frame: {position: [0, 0, 0.5], rotation_vector: [-1.5707963267948966, 0, 0]}}
-"""
+PENDULUM = text_of("pendulum_inverse.yaml")
 
 
 def test_a_motion_leaves_a_stop():

@@ -8,6 +8,7 @@ import precise
 import pytest
 import random_mechanisms
 import scipy
+from scene_files import text_of
 
 from liegroup_core import Simulation
 from liegroup_core.errors import SceneError
@@ -33,18 +34,7 @@ def yaml_scene(text):
     return scene_from_text(text, source="test")
 
 
-DOUBLE = """
-name: double
-gravity: [0, 0, -9.81]
-bodies:
-  - {name: upper, mass: 2.0, inertia: [0.02, 0.03, 0.01], position: [0, 0, -0.4]}
-  - {name: lower, mass: 1.5, inertia: [0.05, 0.05, 0.01], position: [0, 0, -1.1]}
-joints:
-  - {name: shoulder, type: revolute, parent: world, child: upper,
-     child_frame: {position: [0, 0, 0.4], rotation_vector: [-1.5707963267948966, 0, 0]}}
-  - {name: elbow, type: revolute, parent: upper, child: lower,
-     child_frame: {position: [0, 0, 0.3], rotation_vector: [-1.5707963267948966, 0, 0]}}
-"""
+DOUBLE = text_of("double.yaml")
 
 
 def test_the_modes_of_a_double_pendulum_are_those_in_closed_form():
@@ -70,24 +60,7 @@ def test_the_modes_of_a_double_pendulum_are_those_in_closed_form():
     assert system.error < 1e-10 and not len(system.uncontrollable()) and not len(system.unobservable())
 
 
-PARALLELOGRAM = """
-name: parallelogram
-gravity: [0, 0, -9.81]
-bodies:
-  - {name: left, mass: 1.0, inertia: [0.04, 0.04, 0.01], position: [0, 0, -0.25]}
-  - {name: right, mass: 1.0, inertia: [0.04, 0.04, 0.01], position: [1, 0, -0.25]}
-  - {name: bar, mass: 3.0, inertia: [0.01, 0.3, 0.3], position: [0.5, 0, -0.5]}
-joints:
-  - {name: a, type: revolute, parent: world, child: left, child_frame: &up
-     {position: [0, 0, 0.25], rotation_vector: [-1.5707963267948966, 0, 0]}}
-  - {name: b, type: revolute, parent: world, child: right, child_frame: *up}
-  - {name: c, type: revolute, parent: left, child: bar, child_frame:
-     {position: [-0.5, 0, 0], rotation_vector: [-1.5707963267948966, 0, 0]}}
-  - {name: d, type: revolute, parent: right, child: bar, child_frame:
-     {position: [0.5, 0, 0], rotation_vector: [-1.5707963267948966, 0, 0]}}
-forces:
-  - {name: damper, type: torsional_spring_damper, joint: a, stiffness: 2.0, damping: 0.6}
-"""
+PARALLELOGRAM = text_of("parallelogram.yaml")
 
 
 @pytest.mark.parametrize("chosen", [None, ["a"], ["b"]])
@@ -304,13 +277,7 @@ def test_redundant_inputs_hold_a_pose_by_the_smallest_sum_of_squares():
 
 
 def test_an_equilibrium_beyond_a_stop_is_none():
-    text = """
-name: stop
-gravity: [0, 0, -9.81]
-bodies: [{name: rod, mass: 1.5, inertia: [0.1, 0.2, 0.1], position: [0.6, 0, 0]}]
-joints:
-  - {name: hinge, type: revolute, parent: world, child: rod, parent_frame: {axis: [0, 1, 0]}, limits: {upper: 0.7}}
-"""
+    text = text_of("stop_linear.yaml")
     with pytest.raises(TrimError, match="is beyond a stop: hinge would be at 1.5708 rad"):
         trim(paused(yaml_scene(text)))
 

@@ -4,6 +4,7 @@
 import numpy as np
 import pytest
 import yaml
+from scene_files import text_of
 from scipy.spatial.transform import Rotation
 from stop_scenes import chain
 
@@ -195,19 +196,7 @@ def test_a_stop_of_one_of_two_geared_wheels():
 
     The other wheel turns r times as fast. Its joint has no stop of its own.
     """
-    text = """
-name: gears
-gravity: [0, 0, 0]
-bodies:
-  - {name: wheel, mass: 1.0, inertia: [0.1, 0.1, 0.2], angular_velocity: [0, 0, 2.0]}
-  - {name: pinion, mass: 1.0, inertia: [0.1, 0.1, 0.03], position: [1, 0, 0],
-      angular_velocity: [0, 0, -6.0]}
-joints:
-  - {name: axle, type: revolute, parent: world, child: wheel, child_frame: {}, limits: {upper: 1.0}}
-  - {name: pin, type: revolute, parent: world, child: pinion, child_frame: {}}
-couplings:
-  - {name: gears, joint: pin, other: axle, ratio: -3.0}
-"""
+    text = text_of("gears_many_events.yaml")
     engine = Engine(scene_from_text(text), "rkmk4", 1e-2)
     engine.drain_impacts()
     engine.advance(100)

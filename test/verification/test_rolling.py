@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import scipy
 from convergence import fitted_order
+from scene_files import filled, text_of
 
 from liegroup_core import Simulation
 from liegroup_core.errors import SceneError
@@ -218,24 +219,7 @@ joints:
         )
 
 
-MIXED = """
-name: mixed
-assemble: true
-gravity: [0, 0, -9.81]
-bodies:
-  - {name: table, mass: 5.0, inertia: [1, 1, 1], position: [0, 0, 0], angular_velocity: [0, 0, 0.7]}
-  - {name: disk, mass: 1.3, inertia: [0.012, 0.011, 0.02], position: [0.5, 0.1, 0.25],
-     rotation_vector: [-1.2, 0.3, 0.2], angular_velocity: [0.3, 1, 5], linear_velocity: [1.0, 0, 0]}
-  - {name: ball, mass: 0.4, inertia: [0.001, 0.0012, 0.0011], position: [-0.3, 0.4, 0.1], angular_velocity: [3, -2, 1]}
-joints:
-  - {name: axle, type: revolute, parent: world, child: table, child_frame: {}}
-  - {name: roll, type: wheel, parent: table, child: disk, parent_frame: {rotation_vector: [0.1, 0.05, 0]},
-     child_frame: {position: [0.01, 0, 0.02], rotation_vector: [0.1, 0.2, 0]}, radius: 0.2}
-  - {name: rolling, type: ball_on_plane, parent: table, child: ball, child_frame: {}, radius: 0.1}
-forces:
-  - {name: line, type: spring_damper, parent: ball, child: disk, parent_point: [0, 0, 0],
-     child_point: [0.02, 0, 0], stiffness: 20.0, damping: 0.0, rest_length: 0.5}
-"""
+MIXED = text_of("mixed.yaml")
 
 
 @pytest.mark.parametrize("name", ["mixed", "bicycle", "diff_drive"])
@@ -336,19 +320,7 @@ def test_forces_at_contacts_are_those_of_statics_and_beyond_friction_there_is_a_
 def test_a_contact_that_pulls_gives_a_warning_without_its_friction_too(tmp_path, caplog, kind, mu):
     """A force lifts with 20 N a body of 1 kg, which rolls straight on: the contact needs 9.81 N - 20 N."""
     frame = "" if kind == "ball_on_plane" else "rotation_vector: [-1.5707963267948966, 0, 0]"
-    (tmp_path / "pull.yaml").write_text(
-        f"""
-name: pull
-gravity: [0, 0, -9.81]
-bodies:
-  - {{name: b, mass: 1, inertia: [0.1, 0.1, 0.1], position: [0, 0, 0.2], linear_velocity: [1, 0, 0],
-     angular_velocity: [0, 5, 0]}}
-joints:
-  - {{name: r, type: {kind}, parent: world, child: b, child_frame: {{{frame}}}, radius: 0.2{mu}}}
-forces:
-  - {{name: up, type: applied_wrench, body: b, axes: world, force: [0, 0, 20], start: 0.05}}
-"""
-    )
+    (tmp_path / "pull.yaml").write_text(filled(text_of("pull_rolling.yaml"), kind=kind, frame=frame, mu=mu))
     assert main(["run", str(tmp_path / "pull.yaml"), "--duration", "0.1", "--out", str(tmp_path / "a.npz")]) == 0
     (line,) = [record.getMessage() for record in caplog.records if "lift" in record.getMessage()]
     assert line.startswith("r pulls: it needs -10.19 N normal to the plane at t = 0.05")

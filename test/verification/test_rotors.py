@@ -3,6 +3,7 @@
 
 import numpy as np
 import pytest
+from scene_files import filled, text_of
 from scipy.integrate import solve_ivp
 
 from liegroup_core import SceneError, Simulation
@@ -12,18 +13,7 @@ from liegroup_core.reference import integrate
 from liegroup_core.scene.load import scene_from_text
 
 # In space, and planar where the axes are parallel or in the plane.
-ARM = """
-name: arm
-gravity: [0, 0, -9.81]
-bodies:
-  - {{name: a, mass: 2.0, inertia: [0.05, 0.06, 0.02], position: [0.3, 0, 0], com: [0.02, 0.01, 0]}}
-  - {{name: b, mass: 1.0, inertia: [0.02, 0.03, 0.01], position: [0.8, 0.05, 0]}}
-joints:
-  - {{name: j1, type: revolute, parent: world, child: a, rotor: {{inertia: 1.0e-4, ratio: 50}},
-     parent_frame: {{position: [0, 0, 0], axis: [0, 1, {tilt}]}}}}
-  - {{name: j2, type: {kind}, parent: a, child: b, parent_frame: {{position: [0.25, 0, 0], axis: {axis}}},
-     rotor: {{inertia: 2.0e-4, ratio: -60}}{more}}}
-"""
+ARM = text_of("arm_rotors.yaml")
 # {name: (tilt of the first axis, type, axis, more keys)} of the second joint
 SCENES = {
     "hinges in a plane": (0, "revolute", [0, 1, 0], ""),
@@ -38,7 +28,7 @@ ON_JOINTS = [name for name, method in METHODS.items() if method.family != "rotat
 
 def made(name):
     tilt, kind, axis, more = SCENES[name]
-    return scene_from_text(ARM.format(tilt=tilt, kind=kind, axis=axis, more=more))
+    return scene_from_text(filled(ARM, tilt=tilt, kind=kind, axis=axis, more=more))
 
 
 @pytest.mark.parametrize("name", SCENES)
@@ -77,18 +67,7 @@ def test_every_method_converges_to_that_motion_with_its_order(method):
         assert np.log2(errors[0] / errors[1]) > METHODS[method].order - 0.4, errors
 
 
-FLYWHEEL = """
-name: flywheel
-gravity: [0, 0, -9.81]
-bodies:
-  - {{name: arm, mass: 2.0, inertia: [0.05, 0.06, 0.02], position: [0.3, 0, 0]}}
-  - {{name: wheel, mass: 0.5, inertia: [2.0e-3, 3.0e-3, 2.0e-3], position: [-1, 0, 0]}}
-joints:
-  - {{name: hinge, type: {kind}, parent: world, child: arm, parent_frame: {{position: [0, 0, 0], axis: {axis}}}{rotor}}}
-  - {{name: shaft, type: revolute, parent: world, child: wheel,
-     parent_frame: {{position: [-1, 0, 0], axis: [0, 1, 0]}}}}
-{coupling}
-"""
+FLYWHEEL = text_of("flywheel.yaml")
 
 
 @pytest.mark.parametrize("kind, axis", [("revolute", [0, 1, 0]), ("prismatic", [0.3, 0, 1])])
@@ -96,8 +75,8 @@ def test_a_rotor_is_a_flywheel_behind_a_gear(kind, axis):
     """A wheel that a coupling with ratio 12 turns, beside a rotor with its inertia; 0.5 s, round-off of 500 steps."""
     rotor = ", rotor: {inertia: 3.0e-3, ratio: 12}"
     coupling = "couplings: [{name: gear, joint: shaft, other: hinge, ratio: 12}]"
-    geared = scene_from_text(FLYWHEEL.format(kind=kind, axis=axis, rotor="", coupling=coupling))
-    reflected = scene_from_text(FLYWHEEL.format(kind=kind, axis=axis, rotor=rotor, coupling=""))
+    geared = scene_from_text(filled(FLYWHEEL, kind=kind, axis=axis, rotor="", coupling=coupling))
+    reflected = scene_from_text(filled(FLYWHEEL, kind=kind, axis=axis, rotor=rotor, coupling=""))
     found = []
     for scene in (geared, reflected):
         simulation = Simulation(scene, "rkmk8", 1e-3, estimate=False)
@@ -111,13 +90,7 @@ def test_a_rotor_is_a_flywheel_behind_a_gear(kind, axis):
 @pytest.mark.parametrize("method", ON_JOINTS)
 def test_a_hinge_at_rest_accelerates_by_torque_over_inertia(method):
     """tau / (I + c^2 I_r) for 0.1 s from rest about a principal axis: the angle is alpha t^2 / 2."""
-    text = """
-name: disc
-gravity: [0, 0, 0]
-bodies: [{name: disc, mass: 1, inertia: [0.1, 0.1, 0.2]}]
-joints: [{name: hinge, type: revolute, parent: world, child: disc, parent_frame: {axis: [0, 0, 1]},
-          rotor: {inertia: 2.0e-5, ratio: 100}}]
-"""
+    text = text_of("disc_rotors.yaml")
     simulation = Simulation(scene_from_text(text), method, 1e-3, estimate=False)
     simulation.apply_effort("hinge", 1.5)
     simulation.advance(100)
@@ -133,7 +106,7 @@ joints: [{name: hinge, type: revolute, parent: world, child: disc, parent_frame:
 
 
 def test_a_driven_joint_needs_the_effort_of_its_rotor_too():
-    text = ARM.format(tilt=0, kind="revolute", axis=[0, 1, 0], more="").replace(
+    text = filled(ARM, tilt=0, kind="revolute", axis=[0, 1, 0], more="").replace(
         "ratio: 50}", "ratio: 50}, driven: true"
     )
     simulation = Simulation(scene_from_text(text), "rkmk4", 1e-3, estimate=False)
@@ -147,18 +120,7 @@ def test_a_driven_joint_needs_the_effort_of_its_rotor_too():
     assert more == pytest.approx(0.25 * simulation.sample().prescribed["j1"][2], rel=1e-9)
 
 
-HELD = """
-name: held
-gravity: [0, 0, -9.81]
-bodies:
-  - {name: a, mass: 2.0, inertia: [0.05, 0.06, 0.02], position: [0.3, 0, 0]}
-  - {name: b, mass: 1.0, inertia: [0.02, 0.03, 0.01], position: [0.8, 0, 0]}
-joints:
-  - {name: j1, type: revolute, parent: world, child: a, friction: {coulomb: 1.0, static: 13.0},
-     parent_frame: {position: [0, 0, 0], axis: [0, 1, 0]}}
-  - {name: j2, type: revolute, parent: a, child: b, parent_frame: {position: [0.2, 0, 0], axis: [0, 1, 0]},
-     rotor: {inertia: 2.0e-4, ratio: 40}}
-"""
+HELD = text_of("held.yaml")
 
 
 @pytest.mark.parametrize("space", ["auto", "space"])
@@ -185,26 +147,12 @@ def test_friction_holds_a_link_beneath_a_rotor_until_its_torque_is_too_large(spa
     assert event.time == pytest.approx(found.t_events[0][0], abs=1e-10)
 
 
-FOUR_BAR = """
-name: four_bar_of_hinges
-assemble: true
-gravity: [0, 0, -9.81]
-bodies:
-  - {name: crank, mass: 1, inertia: [0.01, 0.02, 0.02], position: [0, 0, 0.25]}
-  - {name: coupler, mass: 2, inertia: [0.01, 0.1, 0.1], position: [0.5, 0, 0.5]}
-  - {name: rocker, mass: 1, inertia: [0.01, 0.02, 0.02], position: [1, 0, 0.25]}
-joints:
-  - {name: a, type: revolute, parent: world, child: crank, parent_frame: {position: [0, 0, 0], axis: [0, 1, 0]},
-     rate: 3}
-  - {name: b, type: revolute, parent: crank, child: coupler, parent_frame: {position: [0, 0, 0.25], axis: [0, 1, 0]}}
-  - {name: c, type: revolute, parent: coupler, child: rocker, parent_frame: {position: [0.5, 0, 0], axis: [0, 1, 0]}}
-  - {name: d, type: revolute, parent: world, child: rocker, parent_frame: {position: [1, 0, 0], axis: [0, 1, 0]}}
-"""
+FOUR_BAR = text_of("four_bar_of_hinges.yaml")
 
 
 def test_where_a_rotor_is_not_possible_one_line_says_so():
     with pytest.raises(SceneError, match="a rotor needs a joint with one coordinate.*this one is spherical"):
-        scene_from_text(ARM.format(tilt=0, kind="spherical", axis=[0, 1, 0], more=""))
+        scene_from_text(filled(ARM, tilt=0, kind="spherical", axis=[0, 1, 0], more=""))
     scene = made("hinges in space")
     with pytest.raises(ValueError, match="its joints have rotors"):
         Simulation(scene, "rkmk4", group="se3")

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import random_mechanisms
 import scipy
+from scene_files import filled, text_of
 
 from liegroup_core import Simulation
 from liegroup_core.errors import LieGroupSimError
@@ -36,18 +37,7 @@ def test_derivatives_of_a_throw():
 def test_derivatives_of_a_rotor():
     """omega = (tau / d) (1 - exp(-d t / I)) with damping d: by tau, d and I."""
     tau, d, inertia = 2.0, 0.7, 0.4
-    scene = scene_from_text(
-        f"""
-name: rotor
-gravity: [0, 0, 0]
-bodies: [{{name: wheel, mass: 1.0, inertia: [{inertia}, {inertia}, {inertia}]}}]
-joints: [{{name: axle, type: revolute, parent: world, child: wheel, child_frame: {{}}}}]
-forces:
-  - {{name: motor, type: motor, joint: axle, torque: {tau}}}
-  - {{name: bearing, type: torsional_spring_damper, joint: axle, stiffness: 0.0, damping: {d}}}
-""",
-        source="t",
-    )
+    scene = scene_from_text(filled(text_of("rotor_sensitivities_2.yaml"), inertia=inertia, tau=tau, d=d), source="t")
     found = sensitivities(scene, ["motor.torque", "bearing.damping", "wheel.inertia.2"], TIMES, ["axle.velocity"])
     t = np.array(TIMES)
     e = np.exp(-d * t / inertia)
@@ -59,16 +49,7 @@ forces:
 def test_the_time_of_an_impact_is_part_of_the_derivative():
     """A slide hits a stop at L with restitution e and goes back: x = L - e v t + e L after v t = L."""
     v, L, e = 2.0, 0.5, 0.6
-    scene = scene_from_text(
-        f"""
-name: slide
-gravity: [0, 0, 0]
-bodies: [{{name: car, mass: 1.0, inertia: [1, 1, 1], linear_velocity: [0, 0, {v}]}}]
-joints: [{{name: rail, type: prismatic, parent: world, child: car, child_frame: {{}},
-  limits: {{lower: -9.0, upper: {L}, restitution: {e}}}}}]
-""",
-        source="t",
-    )
+    scene = scene_from_text(filled(text_of("slide_sensitivities_2.yaml"), v=v, l=L, e=e), source="t")
     found = sensitivities(
         scene, ["car.linear_velocity.2", "rail.limits.upper", "rail.limits.restitution"], TIMES, ["rail.position"]
     )
@@ -79,16 +60,7 @@ joints: [{{name: rail, type: prismatic, parent: world, child: car, child_frame: 
 
 
 def test_a_run_that_just_meets_a_stop_is_said_to_be_rough():
-    scene = scene_from_text(
-        """
-name: slide
-gravity: [0, 0, 0]
-bodies: [{name: car, mass: 1.0, inertia: [1, 1, 1], linear_velocity: [0, 0, 1.0]}]
-joints: [{name: rail, type: prismatic, parent: world, child: car, child_frame: {}, limits: {lower: -9.0, upper: 0.5,
-  restitution: 0.5}}]
-""",
-        source="t",
-    )
+    scene = scene_from_text(text_of("slide_sensitivities.yaml"), source="t")
     assert sensitivities(scene, ["car.linear_velocity.2"], [0.5], ["rail.position"]).rough
 
 
@@ -107,17 +79,7 @@ def test_angles_that_pass_half_a_turn_have_no_jump():
 @pytest.mark.turn(3)
 def test_the_errors_of_long_runs_hold():
     """x = cos(w t) with w^2 = k / m, many periods: by the mass and the stiffness."""
-    scene = scene_from_text(
-        """
-name: oscillator
-gravity: [0, 0, 0]
-bodies: [{name: car, mass: 1.0, inertia: [1, 1, 1], position: [1, 0, 0]}]
-joints: [{name: rail, type: prismatic, parent: world, child: car, parent_frame: {axis: [1, 0, 0]}, child_frame: {axis:
-  [1, 0, 0]}}]
-forces: [{name: spring, type: linear_spring_damper, joint: rail, stiffness: 100.0, damping: 0.0, rest_position: 0.0}]
-""",
-        source="t",
-    )
+    scene = scene_from_text(text_of("oscillator_sensitivities.yaml"), source="t")
     t = np.array([1.0, 8.0, 40.0])
     found = sensitivities(scene, ["spring.stiffness", "car.mass"], t, ["rail.position"])
     expected = np.stack([-np.sin(10.0 * t) * t / 20.0, np.sin(10.0 * t) * t * 5.0], axis=1)
@@ -186,17 +148,7 @@ def test_numbers_that_change_the_times_of_inputs_have_differences_of_runs():
     np.testing.assert_allclose(found.derivatives[0, 0], [1.5, 0.2], rtol=1e-7)
 
 
-SLIDERS = """
-name: sliders
-gravity: [0, 0, 0]
-bodies:
-  - {name: a, mass: 1.0, inertia: [1, 1, 1], linear_velocity: [0, 0, 0]}
-  - {name: b, mass: 1.0, inertia: [1, 1, 1], linear_velocity: [1, 0, 0]}
-joints:
-  - {name: ja, type: prismatic, parent: world, child: a, child_frame: {axis: [1, 0, 0]}, friction: {coulomb: 2.0}}
-  - {name: jb, type: prismatic, parent: a, child: b, child_frame: {axis: [1, 0, 0]}}
-forces: [{name: push, type: applied_wrench, body: a, force: [PUSH, 0, 0], start: 0.0, end: 0.8}]
-"""
+SLIDERS = text_of("sliders.yaml")
 
 
 def test_a_start_velocity_that_friction_takes_away_changes_nothing():
@@ -240,15 +192,7 @@ def test_unknown_numbers_are_refused():
 def test_numbers_of_a_scene_are_found_from_measurements(gaps):
     """Torque and damping of a rotor, from its angle (modulo 2 pi) and rate in closed form."""
     tau, d, inertia = 2.0, 0.7, 0.4
-    text = """
-name: rotor
-gravity: [0, 0, 0]
-bodies: [{name: wheel, mass: 1.0, inertia: [0.4, 0.4, 0.4]}]
-joints: [{name: axle, type: revolute, parent: world, child: wheel, child_frame: {}}]
-forces:
-  - {name: motor, type: motor, joint: axle, torque: 1.7}
-  - {name: bearing, type: torsional_spring_damper, joint: axle, stiffness: 0.0, damping: 0.9}
-"""
+    text = text_of("rotor_sensitivities.yaml")
     t = np.linspace(0.2, 3.0, 8)
     e = np.exp(-d * t / inertia)
     measured = np.stack([tau / d * (t - inertia / d * (1 - e)), tau / d * (1 - e)], 1)

@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from scene_files import text_of
 from scipy.optimize import brentq
 
 from liegroup_core import Simulation
@@ -19,39 +20,9 @@ RUNS = [
     {"method": "rkmk4", "step": 1e-2},
     {"method": "rkmk4", "step": 1e-3},
 ]
-DROP = """
-name: drop
-gravity: [0, 0, -9.81]
-bodies:
-  - {name: ball, mass: 1.5, inertia: [0.02, 0.02, 0.02], position: [0, 0, 1]}
-joints:
-  - {name: tip, type: strut, parent: world, child: ball, parent_frame: {}, child_frame: {},
-     length: LENGTH, restitution: 0.5}
-"""
-ROTOR = """
-name: rotor
-gravity: [0, 0, 0]
-bodies:
-  - {name: rotor, mass: 1.0, inertia: [0.01, 0.01, 0.02], angular_velocity: [0, 0, SPEED]}
-  - {name: ball, mass: 0.2, inertia: [0.001, 0.001, 0.001], position: [0, AWAY, 0]}
-joints:
-  - {name: axle, type: revolute, parent: world, child: rotor, child_frame: {}}
-  - {name: tip, type: strut, parent: rotor, child: ball, parent_frame: {position: [0.3, 0, 0]},
-     child_frame: {}, length: LENGTH, restitution: 0.5}
-"""
-OSCILLATOR = """
-name: oscillator
-gravity: [0, 0, 0]
-assemble: true
-bodies:
-  - {name: block, mass: 1.0, inertia: [0.02, 0.02, 0.02]}
-joints:
-  - {name: track, type: prismatic, parent: world, child: block, parent_frame: {}, child_frame: {},
-     rate: RATE, limits: {upper: 1.0, LIKE}}
-forces:
-  - {name: spring, type: linear_spring_damper, joint: track, stiffness: 100.0, damping: 0.0,
-     rest_position: 0.0}
-"""
+DROP = text_of("drop.yaml")
+ROTOR = text_of("rotor_short_contacts.yaml")
+OSCILLATOR = text_of("oscillator_short_contacts.yaml")
 
 
 def impacts(text, end, settings):
@@ -150,19 +121,7 @@ def test_no_dip_of_a_gap_is_overlooked():
     assert found > 300
 
 
-HIT = """
-name: hit
-gravity: [0, 0, -9.81]
-bodies:
-  - {name: bob, mass: 1.0, inertia: [0.01, 0.01, 0.01], position: [-1.0, 0, 1.0]}
-  - {name: ball, mass: 1.0, inertia: [0.01, 0.01, 0.01], position: [0.2, 0, 0]}
-joints:
-  - {name: hinge, type: revolute, parent: world, child: bob,
-     parent_frame: {position: [0, 0, 1.0], axis: [0, 1, 0]}}
-  - {name: rail, type: prismatic, parent: world, child: ball, child_frame: {axis: [1, 0, 0]}}
-  - {name: bump, type: strut, parent: bob, child: ball, parent_frame: {}, child_frame: {},
-     length: 0.2, restitution: 1.0}
-"""
+HIT = text_of("hit.yaml")
 
 
 @pytest.mark.parametrize("method, step", [("rkmk4", 0.02), ("rkmk4", 0.01), ("rkmk2", 0.005)])

@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from scene_files import text_of
 from scipy.integrate import quad
 from scipy.optimize import brentq, minimize_scalar
 
@@ -24,36 +25,9 @@ RUNS = [
     ({"method": "rkmk54", "step": 0.15, "stabilisation": "projection"}, 1e-4),
     ({"method": "rkmk4", "step": 0.05, "stabilisation": "projection"}, 1e-3),
 ]
-ROPE = """
-name: rope
-gravity: [0, 0, -9.81]
-bodies:
-  - {name: bob, mass: 1.0, inertia: [0.4, 0.4, 0.4], position: [0, 0, -1], linear_velocity: [SPEED, 0, 0]}
-joints:
-  - {name: rope, type: cable, parent: world, child: bob, parent_frame: {}, child_frame: {}, length: 1.0,
-     restitution: 0.2}
-"""
-RUBBER = """
-name: rubber
-gravity: [0, 0, -9.81]
-bodies:
-  - {name: bob, mass: 2.0, inertia: [0.4, 0.4, 0.4], position: [0, 0, -1]}
-joints:
-  - {name: rubber, type: cable, parent: world, child: bob, parent_frame: {}, child_frame: {}, length: 1.0,
-     stiffness: 50.0, damping: DAMPING}
-"""
-TURNING = """
-name: turning
-gravity: [0, 0, -9.81]
-bodies:
-  - {name: bar, mass: 1.0, inertia: [1.0e+12, 1.0e+12, 1.0e+12], angular_velocity: [0, 2, 0]}
-  - {name: block, mass: 1.0, inertia: [0.4, 0.4, 0.4], angular_velocity: [0, 2, 0]}
-joints:
-  - {name: axle, type: revolute, parent: world, child: bar, parent_frame: {axis: [0, 1, 0]},
-     child_frame: {axis: [0, 1, 0]}}
-  - {name: track, type: prismatic, parent: bar, child: block, parent_frame: {axis: [1, 0, 0]},
-     child_frame: {axis: [1, 0, 0]}, friction: {coulomb: FORCE, static: FORCE}}
-"""
+ROPE = text_of("rope.yaml")
+RUBBER = text_of("rubber.yaml")
+TURNING = text_of("turning.yaml")
 
 
 def first_event(text, end, settings):

@@ -8,6 +8,7 @@ import mpmath
 import numpy as np
 import pytest
 from convergence import fitted_order
+from scene_files import text_of
 from stop_scenes import PRESS
 
 from liegroup_core import SceneError, Simulation, SimulationError, reports
@@ -17,48 +18,11 @@ from liegroup_core.scene.load import scene_from_text
 pytestmark = pytest.mark.slow
 G = 9.81
 
-BALL = """
-name: ball
-gravity: [0, 0, -9.81]
-bodies:
-  - {name: ball, mass: 2.0, inertia: [0.1, 0.1, 0.1], position: [0, 0, 1]}
-joints:
-  - name: track
-    type: prismatic
-    parent: world
-    child: ball
-    parent_frame: {}
-    child_frame: {}
-    limits: {lower: 0, restitution: RESTITUTION}
-"""
+BALL = text_of("ball_stops.yaml")
 # A block on a spring, at rest at -SIZE.
-OSCILLATOR = """
-name: oscillator
-gravity: [0, 0, 0]
-bodies:
-  - {name: block, mass: 1.0, inertia: INERTIA, position: [0, 0, -SIZE]}
-joints:
-  - {name: track, type: prismatic, parent: world, child: block, parent_frame: {}, child_frame: {},
-     limits: {upper: STOP, restitution: 1.0}}
-forces:
-  - {name: spring, type: linear_spring_damper, joint: track, stiffness: STIFFNESS}
-"""
+OSCILLATOR = text_of("oscillator_stops.yaml")
 # A pendulum that hangs along -z at the angle 0 and swings in a tilted frame's plane.
-PENDULUM = """
-name: pendulum
-gravity: [0, 0, -9.81]
-bodies:
-  - {name: bob, mass: 1.3, inertia: [0.05, 0.07, 0.04, 0.01, 0, 0], com: [0, 0, -0.8],
-      rotation_vector: [ANGLE, 0, 0]}
-joints:
-  - name: pivot
-    type: revolute
-    parent: world
-    child: bob
-    parent_frame: {rotation_vector: [0, 1.5707963267948966, 0]}
-    child_frame: {rotation_vector: [0, 1.5707963267948966, 0]}
-    limits: {lower: LOWER, restitution: 0.7}
-"""
+PENDULUM = text_of("pendulum_stops.yaml")
 
 
 def impacts(engine, count, steps):
@@ -386,15 +350,7 @@ def test_impulses_in_a_closed_loop_are_the_changes_of_momentum():
     assert world[:2] == pytest.approx(change[:2], abs=5e-3 * np.abs(change).max())
 
 
-SHUTTLE = """
-name: shuttle
-gravity: [0, 0, 0]
-bodies:
-  - {name: block, mass: 1.0, inertia: [0.1, 0.1, 0.1], linear_velocity: [0, 0, 1]}
-joints:
-  - {name: track, type: prismatic, parent: world, child: block, parent_frame: {}, child_frame: {},
-     limits: {lower: 0, upper: 5.0e-7, restitution: 1.0}}
-"""
+SHUTTLE = text_of("shuttle.yaml")
 
 
 def test_impacts_without_end_are_plastic_with_a_warning(caplog):
@@ -456,14 +412,7 @@ def test_events_at_very_short_intervals_are_found_with_a_warning(caplog, monkeyp
 
 
 # A rotor that runs freely about z at RATE towards an elastic stop at the angle STOP.
-ROTOR = """
-name: rotor
-gravity: [0, 0, 0]
-bodies:
-  - {name: rotor, mass: 1.0, inertia: [1, 1, 1], angular_velocity: [0, 0, RATE], linear_velocity: LINEAR}
-joints:
-  - {name: bearing, type: KIND, parent: world, child: rotor, parent_frame: {}, child_frame: {}, LIMITS}
-"""
+ROTOR = text_of("rotor_stops.yaml")
 STOP = 628.3
 
 

@@ -10,6 +10,8 @@ what the data determine.
 import sys
 from pathlib import Path
 
+from scene_files import filled, text_of
+
 if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
@@ -149,53 +151,7 @@ def test_tangents_of_curved_couplings_and_of_switches():
 
 # A chain with every kind of force, and of coordinate with stops or friction.
 STOPS = "limits: {lower: -0.3, upper: 0.4, stiffness: 300.0, damping: 2.0}, friction: {coulomb: 0.1, viscous: 0.3}"
-EVERY_SWITCH = f"""
-name: s
-gravity: [0.3, 0, -9.81]
-assemble: true
-bodies:
-  - {{name: a, mass: 1.0, inertia: [0.02, 0.03, 0.02], com: [0.1, 0, 0]}}
-  - {{name: b, mass: 1.5, inertia: [0.02, 0.03, 0.02], com: [0.2, 0.1, 0]}}
-  - {{name: c, mass: 0.5, inertia: [0.02, 0.03, 0.02], com: [0.1, 0.1, 0]}}
-  - {{name: d, mass: 0.7, inertia: [0.02, 0.03, 0.02], com: [0.1, 0.1, 0.2], angular_velocity: [0.1, 0.3, 1]}}
-  - {{name: e, mass: 0.6, inertia: [0.02, 0.03, 0.02], com: [0, 0.1, 0.2], position: [0, 0, 1], linear_velocity: [1,
-      0, 0.2]}}
-joints:
-  - {{name: turn, type: revolute, parent: world, child: a, parent_frame: {{}}, child_frame: {{}}, coordinate: 0.1,
-      rate: 0.5, {STOPS}}}
-  - {{name: slide, type: prismatic, parent: a, child: b, parent_frame: {{}}, child_frame: {{axis: [0, 1, 0]}},
-      coordinate: 0.2, rate: -0.4,
-      {STOPS}}}
-  - {{name: thread, type: screw, pitch: 0.1, parent: world, child: c, parent_frame: {{}}, child_frame: {{axis: [1, 0,
-      1]}}, coordinate: 0.2,
-      rate: 0.3, {STOPS}}}
-  - {{name: ball, type: spherical, parent: b, child: d, parent_frame: {{}}, child_frame: {{axis: [0, 1, 1]}},
-      limits: {{cone: 0.5, stiffness: 300.0, damping: 2.0}}}}
-  - {{name: cable, type: cable, parent: d, child: e, parent_frame: {{}}, child_frame: {{position: [0, 0.1, 0]}},
-      length: 0.8,
-      stiffness: 300.0, damping: 2.0}}
-couplings:
-  - {{name: belt, joint: slide, other: turn, ratio: 0.5, offset: 0.149, backlash: {{gap: 0.002, stiffness: 200,
-      damping: 0.02}}}}
-  - {{name: cam, joint: thread, other: turn, ratio: 0.5, curve: [0.3, -0.2],
-      backlash: {{gap: 0.4, stiffness: 200, damping: 0.02}}}}
-  - {{name: spring, joint: turn, other: slide, ratio: 0.3, terms: {{thread: -0.7}}, offset: 0.3,
-      backlash: {{gap: 0, stiffness: 150, viscous: 0.4}}}}
-forces:
-  - {{name: f0, type: spring_damper, parent: a, child: e, parent_point: [0, 0, 1], child_point: [0.2, 0, 0],
-      stiffness: 50, damping: 3, rest_length: 0.7}}
-  - {{name: f1, type: torsional_spring_damper, joint: turn, stiffness: 4, damping: 0.3, rest_angle: 0.4}}
-  - {{name: f2, type: linear_spring_damper, joint: slide, stiffness: 40, damping: 3, rest_position: 0.3}}
-  - {{name: f3, type: motor, joint: turn, torque: -4, rate_limit: 3}}
-  - {{name: f4, type: linear_motor, joint: slide, force: -4, speed_limit: 3}}
-  - {{name: f5, type: servo, joint: turn, stiffness: 4, damping: 0.3, position: 0.4, velocity: 2, effort_limit: 9}}
-  - {{name: f6, type: linear_servo, joint: slide, stiffness: 40, damping: 3, position: 0.3, velocity: -1}}
-  - {{name: f7, type: drag, body: e, linear: 2, quadratic: 3, angular: 0.5, angular_quadratic: 0.7}}
-  - {{name: f9, type: law, inputs: {{q: turn.position, w: slide.velocity, x: e.x, n: c.qy}}, parameters: {{k: 3}},
-      outputs: [{{joint: turn, effort: k*sin(q)*x + w**2}},
-                {{body: c, force: [n*w, 2*x, q], torque: [1, x, w], point: [0.1, 0.2, 0], axes: world}}]}}
-  - {{name: f8, type: applied_wrench, body: c, torque: [1, 2, 3], force: [4, 5, -6], point: [1, 0.2, 3], axes: world}}
-"""
+EVERY_SWITCH = filled(text_of("s_tangents.yaml"), stops=STOPS)
 
 
 def combined(switches, rng, count):
@@ -251,19 +207,7 @@ def test_a_pressed_mesh_of_gears_is_a_spring(law):
     x = q_g - q_m / 2 has the effective inertia m = 1 / (1 / 0.04 + 1 / (4 * 0.002)), so the pole is
     -d / 2 m +- i sqrt(k / m - (d / 2 m)^2) = -1.5 +- 173.1986 i.
     """
-    text = """
-name: belt
-gravity: [0, 0, 0]
-assemble: true
-bodies:
-  - {name: motor, mass: 1, inertia: [0.001, 0.001, 0.002]}
-  - {name: gear, mass: 1, inertia: [0.02, 0.02, 0.04], position: [0.1, 0, 0]}
-joints:
-  - {name: m, type: revolute, parent: world, child: motor, parent_frame: {}, child_frame: {}, rate: 6.5}
-  - {name: g, type: revolute, parent: world, child: gear, parent_frame: {position: [0.1, 0, 0]}, child_frame: {},
-      rate: 3.0}
-couplings: [{name: belt, joint: g, other: m, ratio: 0.5, backlash: {LAW, stiffness: 200}}]
-"""
+    text = text_of("belt_tangents.yaml")
     simulation = Simulation(scene_from_text(text.replace("LAW", law), "test"), quiet=True)
     simulation.advance_to(0.012)
     mass = 1.0 / (1.0 / 0.04 + 0.25 / 0.002)

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import random_mechanisms
 import scipy
+from scene_files import filled, text_of
 
 from liegroup_core import Simulation
 from liegroup_core.errors import SceneError, SimulationError
@@ -98,17 +99,12 @@ def test_differences_of_runs_arrive_as_the_transition_says(name):
     assert np.abs(shown @ found.phi @ start - expected).max() < 1e-5 * np.abs(expected).max()
 
 
-RAIL = """
-name: rail
-gravity: [0, 0, -{gravity}]
-bodies: [{{name: car, mass: 1.0, inertia: [1, 1, 1], position: [0, 0, 0.1], linear_velocity: [0, 0, {speed}]}}]
-joints: [{{name: rail, type: prismatic, parent: world, child: car, parent_frame: {{}}, child_frame: {{}}, {rest}}}]
-"""
+RAIL = text_of("rail_transition.yaml")
 
 
 def test_an_impact_changes_its_time():
     """x = L - e (x0 + v t - L) after an impact at L: dx = -e (dx0 + t dv), dv -> -e dv."""
-    text = RAIL.format(gravity=0.0, speed=2.0, rest="limits: {lower: -9, upper: 0.5, restitution: 0.6}")
+    text = filled(RAIL, gravity=0.0, speed=2.0, rest="limits: {lower: -9, upper: 0.5, restitution: 0.6}")
     found = transition(Simulation(scene_from_text(text, "t")), 1.0)
     assert np.abs(found.phi - [[-0.6, -0.6], [0.0, -0.6]]).max() < 1e-9
     # At the impact itself, neighbouring runs are before it or after it.
@@ -119,7 +115,7 @@ def test_an_impact_changes_its_time():
 def test_dry_friction_that_reverses_changes_its_time():
     """Up with v - (g + f) t, down with (g - f) (t - t1), t1 = v / (g + f)."""
     g, f, v, end = 9.0, 3.0, 2.4, 0.7
-    text = RAIL.format(gravity=g, speed=v, rest=f"friction: {{coulomb: {f}, static: {f}}}")
+    text = filled(RAIL, gravity=g, speed=v, rest=f"friction: {{coulomb: {f}, static: {f}}}")
     found = transition(Simulation(scene_from_text(text, "t")), end)
     back = end - v / (g + f)
     expected = [[1.0, v / (g + f) + (g - f) / (g + f) * back], [0.0, (g - f) / (g + f)]]

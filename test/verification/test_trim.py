@@ -6,6 +6,7 @@ import os
 import numpy as np
 import pytest
 import scipy
+from scene_files import filled, text_of
 from slider_crank import FRICTION, kinematics, slider_crank
 
 from liegroup_core import Simulation
@@ -326,17 +327,7 @@ def test_a_joint_without_a_motor_rests_by_its_friction():
 
 def test_friction_holds_what_it_does_not_hold_without_the_inputs():
     """A rod hangs from a horizontal one: its joint slides if this falls, and needs no effort if a motor holds it."""
-    text = """
-name: double
-gravity: [0, 0, -9.81]
-bodies:
-  - {name: upper, mass: 2.0, inertia: [0.02, 0.03, 0.01], com: [0.4, 0, 0]}
-  - {name: lower, mass: 1.5, inertia: [0.05, 0.05, 0.01], position: [0.8, 0, 0], com: [0, 0, -0.3]}
-joints:
-  - {name: shoulder, type: revolute, parent: world, child: upper, child_frame: {axis: [0, 1, 0]}}
-  - {name: elbow, type: revolute, parent: upper, child: lower, child_frame: {axis: [0, 1, 0]},
-     friction: {coulomb: 0.1}}
-"""
+    text = text_of("double_trim.yaml")
     simulation = paused(scene_from_text(text, source="test"))
     assert simulation.sample().modes == {"elbow": "free"}
     result = trim(simulation, held=["shoulder", "elbow"], inputs=["shoulder.effort"])
@@ -348,13 +339,7 @@ joints:
 
 def test_a_stop_holds_in_one_direction():
     """A horizontal rod on its stop rests until an effort lifts its weight."""
-    text = """
-name: stop
-gravity: [0, 0, -9.81]
-bodies: [{name: rod, mass: 1.5, inertia: [0.1, 0.2, 0.1], position: [0.6, 0, 0]}]
-joints:
-  - {name: hinge, type: revolute, parent: world, child: rod, parent_frame: {axis: [0, 1, 0]}, limits: {upper: 0}}
-"""
+    text = text_of("stop_trim.yaml")
     result = trim(paused(scene_from_text(text, source="test")), inputs=["hinge.effort"])
     assert result.inputs["hinge.effort"] == pytest.approx(0.0, abs=1e-12)
     least, most = result.intervals["hinge.effort"]
@@ -364,16 +349,7 @@ joints:
 @pytest.mark.parametrize("gap", [0.0, 0.02])
 def test_a_spring_between_slides_is_pressed_in_equilibrium(gap):
     """2 kg on a coupling of 300 N/m, which starts pressed, over 1 kg on a spring of 100 N/m: 3 g / 100, 2 g / 300."""
-    text = f"""
-name: pressed
-gravity: [0, 0, -9.81]
-bodies: [{{name: a, mass: 1, inertia: [1, 1, 1]}}, {{name: b, mass: 2, inertia: [1, 1, 1], position: [0, 0, -0.05]}}]
-joints:
-  - {{name: ja, type: prismatic, parent: world, child: a, parent_frame: {{}}, child_frame: {{}}}}
-  - {{name: jb, type: prismatic, parent: world, child: b, parent_frame: {{}}, child_frame: {{}}}}
-couplings: [{{name: c, joint: jb, other: ja, ratio: 1, offset: 0, backlash: {{gap: {gap}, stiffness: 300}}}}]
-forces: [{{name: f, type: linear_spring_damper, joint: ja, stiffness: 100}}]
-"""
+    text = filled(text_of("pressed_trim.yaml"), gap=gap)
     q = trim(paused(scene_from_text(text))).joints
     assert q["ja"] == pytest.approx(-0.03 * 9.81, rel=1e-9)
     assert q["jb"] - q["ja"] == pytest.approx(-2.0 * 9.81 / 300.0 - 0.5 * gap, rel=1e-9)
@@ -399,14 +375,7 @@ def test_stops_and_friction_hold_together():
 @pytest.mark.parametrize("start", [0.0, 5.0])
 def test_friction_opposes_given_rates(start, rate):
     """A rotor, at rest or not: its motor supplies the sliding and the viscous friction."""
-    text = f"""
-name: rotor
-gravity: [0, 0, -9.81]
-bodies: [{{name: rotor, mass: 1.0, inertia: [0.02, 0.02, 0.03], angular_velocity: [0, 0, {start}]}}]
-joints:
-  - {{name: shaft, type: revolute, parent: world, child: rotor, child_frame: {{}},
-     friction: {{coulomb: 0.3, static: 0.5, viscous: 0.1}}}}
-"""
+    text = filled(text_of("rotor_trim.yaml"), start=start)
     result = trim(paused(scene_from_text(text, source="test")), {"shaft": rate}, inputs=["shaft.effort"])
     assert result.inputs["shaft.effort"] == pytest.approx(0.3 * np.sign(rate) + 0.1 * rate, rel=1e-12)
     assert result.is_steady and not result.intervals
@@ -414,14 +383,7 @@ joints:
 
 def test_targets_are_those_to_command():
     """A rod of 2 kg with its centre at 0.5 m rests level where k (target - 0) carries it, whatever the target was."""
-    text = """
-name: servo
-gravity: [0, 0, -10]
-bodies: [{name: rod, mass: 2.0, inertia: [0.1, 0.1, 0.1], position: [0.5, 0, 0]}]
-joints: [{name: hinge, type: revolute, parent: world, child: rod, parent_frame: {axis: [0, -1, 0]},
-          child_frame: {position: [-0.5, 0, 0], axis: [0, -1, 0]}}]
-forces: [{name: servo, type: servo, joint: hinge, stiffness: 50, damping: 2, position: 0.3}]
-"""
+    text = text_of("servo_trim.yaml")
     found = trim(paused(scene_from_text(text, source="test")), held=["hinge"], inputs=["hinge.target"])
     assert found.inputs["hinge.target"] == pytest.approx(2.0 * 10.0 * 0.5 / 50.0, rel=1e-10)
 
