@@ -13,7 +13,6 @@ PAGE = Path(__file__).resolve().parents[2] / "docs" / "reference" / "python.md"
 
 def test_all_code_blocks_of_the_python_page_run(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("LIEGROUP_CACHE_DIR", str(tmp_path))  # nothing is known there
     pieces = re.findall(r"^```python\n(.*?)^```", PAGE.read_text(), re.DOTALL | re.MULTILINE)
     assert len(pieces) == 11
     names = {}

@@ -174,19 +174,6 @@ def test_compositions_are_symmetric_and_satisfy_order_conditions():
             assert abs((g**power).sum()) <= 10 * UNIT * (np.abs(g) ** power).sum()
 
 
-def test_applied_wrenches_and_set_state():
-    """Constant force on a free body, which the method integrates exactly, then no force."""
-    simulation = Simulation(load_scene("free_body"), method="constrained_rattle", step=1e-2)
-    pose = simulation.state()[0]
-    simulation.set_state(pose, np.zeros((1, 6)))
-    simulation.apply_wrench("body", (0, 0, 0, 3.0, 0, 0), duration=0.5)
-    simulation.advance(100)
-    mass = simulation.layout.model.bodies["mass"][0]
-    moved = simulation.state()[0][0, 9:] - pose[0, 9:]
-    # f/m (t1^2/2 + t1 t2), in 100 steps of a rounding
-    assert moved == pytest.approx(pose[0, :9].reshape(3, 3)[:, 0] * 3.0 / mass * 0.375, abs=100 * UNIT)
-
-
 @pytest.mark.parametrize("method", CONSTRAINED)
 def test_a_step_too_large_for_the_motion_ends_with_a_status(method):
     """The crank rotates by more than pi/2 in a step: no velocity impulse closes the loop."""

@@ -6,8 +6,6 @@ DOP853 run agrees to 1e-10. With zero rest length and the centre of mass at R rc
 a constant field, so this top has a reference without any of our code.
 """
 
-import math
-
 import numpy as np
 import pytest
 from convergence import order_of
@@ -62,19 +60,6 @@ def test_errors_equal_those_of_an_independent_implementation(se3_runs):
         assert attitude_error(se3_runs[step][1]) == pytest.approx(expected, rel=2e-3, abs=2e-12)
 
 
-def test_the_ground_joint_holds_to_round_off_on_se3(se3_runs):
-    for step in (1e-2, 1e-3, 1e-4):
-        assert se3_runs[step][0] <= 1e-12
-
-
-@pytest.mark.parametrize("scene", ["heavy_top", "lagrangian_top"])
-def test_the_ground_joint_does_not_drift_with_time(scene):
-    """Tolerance: 1e-16 per step grows at most like a random walk, so 1e-13 after 1e5 steps."""
-    simulation = Simulation(load_scene(scene), method="rkmk4", step=1e-3)
-    simulation.advance(100_000)
-    assert simulation.sample().constraint_residual <= 1e-12
-
-
 def test_energy_drift_equals_that_of_an_independent_implementation(se3_runs):
     start = Simulation(load_scene("heavy_top"), method="rkmk4").sample().energy
     drift = {h: abs(sample.energy - start) / abs(start) for h, (_, sample) in se3_runs.items()}
@@ -92,19 +77,3 @@ def test_the_joint_drifts_at_order_four_on_so3xr3():
         assert residuals[step] == pytest.approx(SO3XR3_RESIDUAL[step], rel=1e-3)
         assert errors[step] == pytest.approx(SO3XR3_ERROR[step], rel=1e-3)
     assert order_of(residuals) == pytest.approx(4.0, abs=0.1)
-
-
-def test_angular_momentum_along_gravity_is_conserved():
-    # The spring acts as k p0 at the centre of mass, beside m g: L about the pivot along it is kept.
-    field = 1e4 * np.array([1.0, 0.0, 0.5]) + 21.6 * np.array([0.0, 0.0, -9.81])
-    field /= np.linalg.norm(field)
-
-    def component(step):
-        simulation = Simulation(load_scene("heavy_top"), method="rkmk4", step=step)
-        before = simulation.sample().spatial_momentum[:3] @ field
-        simulation.advance(round(HORIZON / step))
-        return abs(simulation.sample().spatial_momentum[:3] @ field - before)
-
-    drift = {h: component(h) for h in (4e-3, 2e-3, 1e-3)}
-    assert drift[1e-3] < 1e-6 and order_of(drift) > 3.5
-    assert math.isfinite(drift[4e-3])

@@ -429,21 +429,3 @@ def test_generalized_alpha_unwraps_angles_and_restarts_at_wrench_changes(group):
         found.append(abs(simulation.sample().angles[0] - exact))
     assert order_by_count(counts, found) == pytest.approx(2.0, abs=0.2), found
     assert found[-1] < 1e-3
-
-
-@pytest.mark.parametrize("group", ALL_GROUPS)
-@pytest.mark.turn(3)
-def test_generalized_alpha_has_order_two_with_wrench_changes_at_every_step(references, group):
-    """The method restarts at each change. Reference: rkmk4 with 16 steps per step."""
-    scene, _ = references["double pendulum"]
-
-    def end(method, count, parts):
-        simulation = Simulation(scene, method=method, step=1 / (count * parts), group=group)
-        for k in range(count):
-            simulation.apply_wrench("second", (0, 0, 0, 3.0 * np.sin(7 * k / count), 0, 0))
-            simulation.advance(parts)
-        return simulation.state()[0]
-
-    counts = (128, 256, 512)
-    found = [np.abs(end("generalized_alpha", count, 1) - end("rkmk4", count, 16)).max() for count in counts]
-    assert order_by_count(counts, found) == pytest.approx(2.0, abs=0.2), found
