@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Example scenes, and the scenes and robots of test/scenes/, for tests."""
+"""Data files of tests: example scenes, the scenes and robots of test/scenes/, and the cases of tables.yaml."""
 
+import functools
 import re
 from pathlib import Path
 
 import pytest
+import yaml
 
 ROOT = Path(__file__).resolve().parents[1]
 SCENES = sorted((ROOT / "config" / "scenes").glob("*.yaml"))
@@ -20,3 +22,14 @@ def text_of(name):
 def filled(text, **values):
     """Text with the value of each key in the place of @key@."""
     return re.sub(r"@(\w+)@", lambda found: str(values[found[1]]), text)
+
+
+@functools.cache
+def _tables():
+    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+    return yaml.load((ROOT / "test" / "tables.yaml").read_text(encoding="utf-8"), loader)
+
+
+def cases(test):
+    """Cases of a parametrised test, by its name without test_."""
+    return _tables()[test]

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from convergence import fitted_order
 from numpy.polynomial import Polynomial
-from scene_files import filled, text_of
+from scene_files import cases, filled, text_of
 from scipy.integrate import solve_ivp
 
 from liegroup_core import SceneError, Simulation, SimulationError
@@ -131,17 +131,7 @@ def test_a_pinion_drives_its_rack(axis, first):
 
 
 @pytest.mark.parametrize("case", ["hinges", "bolt", "cam", "sled"])
-@pytest.mark.parametrize(
-    "method, order",
-    [
-        ("rkmk2", 2),
-        ("rkmk3", 3),
-        ("rkmk4", 4),
-        ("generalized_alpha", 2),
-        ("constrained_rattle", 2),
-        ("constrained_rattle4", 4),
-    ],
-)
+@pytest.mark.parametrize("method, order", cases("coupled_bodies_move_at_the_order_of_the_method"))
 @pytest.mark.volume(8)
 def test_coupled_bodies_move_at_the_order_of_the_method(method, order, case):
     """Pendulums in space and cams, against one equation of motion that knows no joint; of cams also the force."""

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hostile import expression, xacro_text
 from robot_texts import written
+from scene_files import cases
 
 from liegroup_core import SceneError, load_scene
 from liegroup_core.robots import access, apart
@@ -203,18 +204,7 @@ def test_a_model_includes_nothing_outside_of_its_tree(tmp_path):
         assert str(caught.value).startswith(line)
 
 
-@pytest.mark.parametrize(
-    "value, expected",
-    [
-        ("${(lambda: 1)()}", "lambda in an expression is not allowed"),
-        ("${[x for x in [1]]}", "comprehension in an expression is not allowed"),
-        ("$(eval [x for x in [1]][0])", "comprehension in an expression is not allowed"),
-        ("${python.vars(python.type(python))['__init__']}", "'vars' is not defined"),
-        ("${load_yaml('OUTSIDE')}", "OUTSIDE is not read: it is outside of"),
-        ("${xacro.load_yaml('/etc/passwd')}", "/etc/passwd is not read: it is outside of"),
-        ("${9**9**9**9}", "a whole number of more than 300 digits"),
-    ],
-)
+@pytest.mark.parametrize("value, expected", cases("a_hostile_xacro_file_is_refused_in_one_line"))
 @pytest.mark.turn(3)
 def test_a_hostile_xacro_file_is_refused_in_one_line(value, expected, tmp_path, monkeypatch):
     outside = written(tmp_path / "outside.yaml", "secret")

@@ -11,6 +11,7 @@ import mechanisms
 import numpy as np
 import precise
 import pytest
+from scene_files import cases
 
 from liegroup_core import Scene, Simulation, load_scene
 from liegroup_core.describe import describe
@@ -173,17 +174,7 @@ def test_the_motion_is_that_in_space(name, normal):
     assert int(planar.layout.relative.links["freedoms"].sum()) == sizes[tree]
 
 
-@pytest.mark.parametrize(
-    "settings",
-    [
-        {"method": "rkmk54", "rtol": 1e-9, "atol": 1e-9},
-        {"method": "rkmk853", "rtol": 1e-9, "atol": 1e-9},
-        {"method": "rkmk8"},
-        {"dexpinv": "truncated"},
-        {"stabilisation": "projection"},
-        {"stabilisation": "baumgarte"},
-    ],
-)
+@pytest.mark.parametrize("settings", cases("every_configuration_has_a_planar_form"))
 def test_every_configuration_has_a_planar_form(settings):
     planar, space = both(mechanism("chain with a loop", "z"), **settings)
     assert difference(planar, space) <= 1e-11

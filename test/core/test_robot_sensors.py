@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 from robot_texts import written
-from scene_files import filled, text_of
+from scene_files import cases, filled, text_of
 
 from liegroup_core import SceneError, Simulation, load_scene
 from liegroup_core.lie.groups import SO3
@@ -254,18 +254,7 @@ def test_sensors_beside_a_robot_name_its_links_and_joints(tmp_path, capsys):
     assert all(np.array_equal(again.sensors[name], sample.sensors[name]) for name in again.sensors)
 
 
-@pytest.mark.parametrize(
-    "entry, text",
-    [
-        ("{name: s, type: imu, body: hand}", "sensors[0] \"s\": link 'hand' does not exist or is cut"),
-        ("{name: s, type: imu, body: base}", 'sensors[0] "s": link base does not move'),
-        ("{name: s, type: encoder, joint: wrist}", 'sensors[0] "s": joint wrist is merged'),
-        ("{name: s, type: force_torque, joint: tcp_joint}", "joint tcp_joint is merged"),
-        ("{name: s, type: distance, parent: tool, child: tcp}", "its links move as one body"),
-        ("{name: tcp, type: imu, body: tcp}", "the robot has a link with this name"),
-        ("{name: shoulder, type: imu, body: tcp}", "this name is already used"),
-    ],
-)
+@pytest.mark.parametrize("entry, text", cases("a_sensor_that_does_not_fit_the_robot_is_refused_with_its_line"))
 def test_a_sensor_that_does_not_fit_the_robot_is_refused_with_its_line(tmp_path, entry, text):
     arm(tmp_path)
     path = written(tmp_path / "sensed.yaml", f"robot: arm.urdf\nsensors:\n  - {entry}\n")

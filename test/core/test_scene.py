@@ -14,7 +14,7 @@ import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scene_files import ROOT, SCENES, each_scene, filled, text_of
+from scene_files import ROOT, SCENES, cases, each_scene, filled, text_of
 
 from liegroup_core.errors import SceneError
 from liegroup_core.fields.values import Described
@@ -83,21 +83,7 @@ def test_numbers_are_loaded_exactly(parser):
     assert (spring.stiffness, spring.damping, spring.rest_length) == (1e4, 0.2, 0.5)
 
 
-@pytest.mark.parametrize(
-    "text, value",
-    [
-        ("1e4", 1e4),
-        ("1E-3", 1e-3),
-        ("+.5", 0.5),
-        ("5.", 5.0),
-        ("007", 7.0),
-        ("0.1", 0.1),
-        ("123456789012345678901", 123456789012345678901.0),
-        ("1.7976e99", 1.7976e99),
-        ("0.1000000000000000055511151231257827", 0.1),
-        ("4.9e-324", 4.9e-324),
-    ],
-)
+@pytest.mark.parametrize("text, value", cases("numbers_follow_yaml_1_2"))
 def test_numbers_follow_yaml_1_2(parser, text, value):
     assert scene_from_text(GOOD.replace("2.5", text)).bodies[0].mass == value
 
@@ -400,18 +386,7 @@ def test_every_field_of_a_scene_is_in_the_tables_of_keys():
         assert all(key.meaning for key in table.keys) and table.summary.endswith(".")
 
 
-@pytest.mark.parametrize(
-    "title, key, default",
-    [
-        ("scene", "gravity", "required"),
-        ("scene", "assemble", "false"),
-        ("scene", "joints", "empty"),
-        ("bodies", "mass", "-"),
-        ("bodies", "com", "[0.0, 0.0, 0.0]"),
-        ("joints: cable, strut", "type", "cable"),
-        ("sensors: force_torque", "measures", "reaction"),
-    ],
-)
+@pytest.mark.parametrize("title, key, default", cases("the_tables_of_keys_have_the_defaults_of_the_models"))
 def test_the_tables_of_keys_have_the_defaults_of_the_models(title, key, default):
     [table] = [table for table in key_tables() if table.title == title]
     assert {each.name: each.default for each in table.keys}[key] == default

@@ -6,7 +6,7 @@ import json
 import jsonschema
 import pytest
 import yaml
-from scene_files import ROOT, each_scene
+from scene_files import ROOT, cases, each_scene
 
 from liegroup_core.scene import scene_from_text
 from liegroup_core.scene.description import FORCES, JOINTS, SENSORS
@@ -52,19 +52,7 @@ def test_the_schema_refuses_what_the_loader_refuses():
     assert accepted == []
 
 
-@pytest.mark.parametrize(
-    "old, new",
-    [
-        ("", ""),
-        ("mass: 2.5", "mass: 1e4"),
-        ("[1.0, 1.1, 1.2]", "&i [1.0, 1.1, 1.2]"),
-        ("forces:", "# forces:"),
-        ("description: Two bodies", "assemble: true"),
-        ("mass: 2.5\n    inertia: [1.0, 1.1, 1.2]", "shape: {type: sphere, radius: 1, density: 1}"),
-        ("mass: 2.5\n    inertia: [1.0, 1.1, 1.2]", "shape: {type: rod, length: 1, mass: 1}"),
-        ("mass: 2.5", "mass: 2.5\n    com: [0, 0, 1]"),
-    ],
-)
+@pytest.mark.parametrize("old, new", cases("the_schema_accepts_what_the_loader_accepts"))
 def test_the_schema_accepts_what_the_loader_accepts(old, new):
     text = GOOD.replace(old, new, 1)
     if new.startswith("#"):

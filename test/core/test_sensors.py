@@ -3,6 +3,7 @@
 
 import numpy as np
 import pytest
+from scene_files import cases
 from scipy.spatial.transform import Rotation
 
 from liegroup_core import Scene, SceneError, Simulation
@@ -216,21 +217,7 @@ def test_noise_depends_on_seed_sensor_and_step_only():
     assert np.array_equal(read(again)["s1"], read(scene)["s1"])
 
 
-@pytest.mark.parametrize(
-    "sensor, message",
-    [
-        ({"type": "imu", "body": "rot"}, "sensors[0] \"s0\": body 'rot' is not a body; choose one of: rod"),
-        ({"type": "imu", "body": "world"}, "is not a body"),
-        ({"type": "encoder", "joint": "hing"}, "joint 'hing' is not a joint; did you mean"),
-        ({"type": "imu", "body": "rod", "name": "hinge"}, "this name is already used"),
-        ({"type": "gps", "body": "rod"}, "force_torque"),
-        ({"type": "imu", "body": "rod", "seed": -1}, "0 to 4294967295, got -1"),
-        ({"type": "imu", "body": "rod", "frame": {"axis": [0, 0, 0]}}, "zero: give the direction of the axis, got"),
-        ({"type": "encoder", "joint": "hinge", "seed": 1}, "unknown key 'seed'"),
-        ({"type": "imu", "body": "rod", "acceleration_noise": -1.0}, "not be negative"),
-        ({"type": "distance", "parent": "rod", "child": "rod"}, "they must differ"),
-    ],
-)
+@pytest.mark.parametrize("sensor, message", cases("wrong_sensors_have_one_line"))
 def test_wrong_sensors_have_one_line(sensor, message):
     with pytest.raises(SceneError) as caught:
         pendulum(sensor)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import yaml
 from convergence import fitted_order
-from scene_files import text_of
+from scene_files import cases, text_of
 
 from liegroup_core import Simulation, load_scene
 from liegroup_core.methods.munthe_kaas.ahead import further_stages, polynomials
@@ -90,21 +90,7 @@ def pushed(name, ask, **options):
     return simulation, found
 
 
-@pytest.mark.parametrize(
-    "name, options",
-    [
-        ("four_bar", {"accuracy": 1e-5}),
-        ("driven_arm", {"accuracy": 1e-4}),
-        ("heavy_top", {"accuracy": 1e-6, "step": 0.1}),
-        ("flyball_governor", {"accuracy": 1e-4}),
-        ("gripper", {"accuracy": 1e-4}),
-        ("stick_slip", {"accuracy": 1e-5}),
-        ("cable", {"accuracy": 1e-5}),
-        ("door", {"method": "rkmk4", "step": 2e-3}),
-        ("heavy_top", {"method": "constrained_rattle", "step": 2e-3}),
-        ("four_bar", {"method": "radau5", "step": 1e-2}),
-    ],
-)
+@pytest.mark.parametrize("name, options", cases("a_run_does_not_depend_on_the_states_that_are_asked_for"))
 @pytest.mark.volume(3)
 def test_a_run_does_not_depend_on_the_states_that_are_asked_for(name, options):
     (one, _), (other, _) = (pushed(name, ask, **options) for ask in (False, True))
@@ -114,18 +100,7 @@ def test_a_run_does_not_depend_on_the_states_that_are_asked_for(name, options):
     assert len(one.drain_instants()) == len(other.drain_instants())
 
 
-@pytest.mark.parametrize(
-    "name, accuracy",
-    [
-        ("four_bar", 1e-5),
-        ("heavy_top", 1e-4),
-        ("slider_crank", 1e-3),
-        ("door", 1e-4),
-        ("cable", 1e-4),
-        ("cable", 1e-5),
-        ("gripper", 1e-5),
-    ],
-)
+@pytest.mark.parametrize("name, accuracy", cases("errors_between_steps_are_covered"))
 def test_errors_between_steps_are_covered_by_their_estimate_and_loops_stay_closed(name, accuracy):
     """Of all states 5 % may have an error above the estimate, as between two runs whose errors are equal by chance.
 

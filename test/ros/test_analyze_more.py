@@ -16,7 +16,7 @@ import jsonschema
 import numpy as np
 import pytest
 from made_run import PAIR, record
-from scene_files import text_of
+from scene_files import cases, text_of
 
 from liegroup_core import Simulation, load_scene
 from liegroup_core.reference.elliptic import free_body, heavy_top, to_floats
@@ -77,18 +77,7 @@ def test_the_error_against_the_closed_form_and_the_reference_agree(tmp_path, tex
     assert found["angle"]["max"] > 1e-9 > 1e3 * found["angle"]["uncertainty"]
 
 
-@pytest.mark.parametrize(
-    "method, order, step",
-    [
-        ("rkmk1", 1, 1e-3),
-        ("rkmk2", 2, 1e-3),
-        ("rkmk4", 4, 4e-3),
-        ("rkmk8", 8, 2e-2),
-        ("generalized_alpha", 2, 1e-3),
-        ("constrained_rattle", 2, 1e-3),
-        ("lie_midpoint", 2, 1e-3),
-    ],
-)
+@pytest.mark.parametrize("method, order, step", cases("observed_order_and_one_step_error"))
 def test_observed_order_and_one_step_error(tmp_path, method, order, step):
     """The order is observed, and the error of the first step equals its estimate."""
     scene = scene_from_text(TOP)

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import zstandard
 from made_run import PAIR, record
+from scene_files import cases
 
 from liegroup_core import SceneError
 from liegroup_core.scene.load import scene_from_text
@@ -188,22 +189,7 @@ def test_bombs_and_huge_lengths_are_refused_quickly(tmp_path, capsys, make):
 STRANGE = (None, True, -1, 0, 1e-300, 1e300, math.nan, math.inf, 2**70, "x", "", [], [1], {}, {"a": [{}]}, "\n", 1.5)
 
 
-@pytest.mark.parametrize(
-    "key",
-    [
-        "method",
-        "group",
-        "step",
-        "steps_per_sample",
-        "world_frame",
-        "stabilisation",
-        "options",
-        "baumgarte_time",
-        "versions",
-        "scene",
-        "machine",
-    ],
-)
+@pytest.mark.parametrize("key", cases("invalid_settings_in_a_recording"))
 @pytest.mark.turn(3)
 def test_invalid_settings_in_a_recording(small, key):
     """One error line, or the same numbers if the setting does not affect them."""

@@ -16,6 +16,7 @@ from node_process import NodeProcess, figures_of, on_grid, push_command, stamp_o
 from rcl_interfaces.msg import Log
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
+from scene_files import cases
 from scene_runs import node_values
 
 from liegroup_sim_ros.node.parameter_texts import preset_text, table_text
@@ -329,18 +330,7 @@ def test_numbers_that_divide_have_a_smallest_value(entry):
     assert math.isfinite(1.0 / check(entry.name, max(entry.low, 1e-9)))
 
 
-@pytest.mark.parametrize(
-    "rates, longest",
-    [
-        ({}, 0.01),
-        ({"publish_rate": 1000.0}, 0.001),
-        ({"clock_rate": 30.0}, 0.01),
-        ({"publish_rate": 333.0}, 0.002),
-        ({"accuracy_horizon": 0.05}, 0.001),
-        ({"publish_rate": 1e5}, 1e-5),
-        ({"publish_rate": 1.0, "clock_rate": 0.0, "state_rate": 0.0}, 0.01),
-    ],
-)
+@pytest.mark.parametrize("rates, longest", cases("steps_are_not_longer_than_the_shortest_period"))
 def test_steps_are_not_longer_than_the_shortest_period(rates, longest):
     assert fitting_step(node_values(**rates)) == longest
 

@@ -9,6 +9,7 @@ from geometry_msgs.msg import PointStamped, WrenchStamped
 from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.serialization import serialize_message
+from scene_files import cases
 
 from liegroup_sim_ros.messages.codecs import WrenchStampedCodec
 from liegroup_sim_ros.serving.counted_input import FARTHEST, MOST, Refusal
@@ -23,18 +24,7 @@ def read(frame, kind="wrench", body=None, wrench=WRENCH, stamp_ns=0, held=0, pre
     return WrenchInput(["top", "left"], "map/world", prefix).read(payload, kind, body, NOW, held)
 
 
-@pytest.mark.parametrize(
-    "kind, body, frame, source, axes",
-    [
-        ("wrench", None, "top", "wrench/top/", "body"),
-        ("wrench", None, "top/a/b", "wrench/top/a/b/", "body"),
-        ("persistent", None, "left/left", "persistent/left/left/", "body"),
-        ("body", "top", "top", "body/top/", "body"),
-        ("body", "top", "map/world", "body/top/", "world"),
-        ("body", "top", "map/world/fan", "body/top/fan/", "world"),
-        ("body", "top", "top/fan", "body/top/fan/", "body"),
-    ],
-)
+@pytest.mark.parametrize("kind, body, frame, source, axes", cases("the_frame_id_selects_body_source_and_axes"))
 def test_the_frame_id_selects_body_source_and_axes(kind, body, frame, source, axes):
     push = read(frame, kind, body)
     assert (push.source, push.axes, push.values) == (source, axes, WRENCH)

@@ -8,6 +8,7 @@ import mechanisms
 import numpy as np
 import pytest
 import yaml
+from scene_files import cases
 from scipy.spatial.transform import Rotation
 from true_error import distance_at
 
@@ -312,20 +313,7 @@ def test_an_accuracy_is_not_set_as_an_attribute():
     assert Simulation(simulation.scene, "rkmk4", 1e-2).accuracy is None
 
 
-@pytest.mark.parametrize(
-    "wrong, text",
-    [
-        ({"accuracy": 0.0}, "a number from 1e-13 to 1, got 0"),
-        ({"accuracy": 1e-14}, "a number from 1e-13 to 1, got 1e-14"),
-        ({"accuracy": "fine"}, "a number from 1e-13 to 1, got 'fine'"),
-        ({"horizon": 0.0}, r"a number from 1e-09 to 1e\+06 s, got 0"),
-        ({"horizon": 1e300}, r"from 1e-09 to 1e\+06 s, got 1e\+300"),
-        ({"accuracy": 1e-3, "method": "rkmk4"}, "either an accuracy or a method"),
-        ({"accuracy": 1e-3, "rtol": 1e-3}, "an accuracy sets rtol"),
-        ({"estimate": False}, "an accuracy requires the error estimate"),
-        ({"estimate": "no"}, "estimate must be true or false, got 'no'"),
-    ],
-)
+@pytest.mark.parametrize("wrong, text", cases("wrong_settings_are_refused_in_one_line"))
 def test_wrong_settings_are_refused_in_one_line(wrong, text):
     with pytest.raises(ValueError, match=text) as refusal:
         Simulation(load_scene("free_body"), **wrong)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import yaml
 from convergence import fitted_order
-from scene_files import text_of
+from scene_files import cases, text_of
 from scipy.optimize import brentq
 
 from liegroup_core import Simulation
@@ -427,19 +427,7 @@ def test_cables_in_parallel():
     assert set(sample.modes.values()) == {"upper"}
 
 
-@pytest.mark.parametrize(
-    "kind, more, expected",
-    [
-        ("cable", {"length": 0.9}, True),
-        ("cable", {"length": 0.9, "stiffness": 1e4}, False),
-        ("cylindrical", {"limits": {"translation": {"upper": 1.0}}}, True),
-        ("cylindrical", {"limits": {"translation": {"upper": 1.0, "stiffness": 1e4}}}, False),
-        ("cylindrical", {"friction": {"rotation": {"coulomb": 1.0}}}, False),
-        ("spherical", {"limits": {"cone": 1.0}}, True),
-        ("revolute", {"limits": {"upper": 1.0}}, True),
-        ("revolute", {}, False),
-    ],
-)
+@pytest.mark.parametrize("kind, more, expected", cases("what_has_impacts"))
 def test_what_has_impacts(kind, more, expected):
     """Rigid stops of every kind have impacts; compliant ones and friction have none."""
     joint = {"name": "j", "type": kind, "parent": "world", "child": "bob", "parent_frame": {}}

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from scene_files import text_of
+from scene_files import cases, text_of
 from scipy.integrate import solve_ivp
 
 from liegroup_core import Simulation
@@ -58,18 +58,7 @@ def motion(masses, rate, times):
     return found.y[0]
 
 
-@pytest.mark.parametrize(
-    "masses, rate, accuracy",
-    [
-        ((1.0, 1.0, 0.01), 8.0, 1e-6),
-        ((1.0, 10.0, 0.01), 6.0, 1e-6),
-        ((0.13, 9.3, 0.0066), 8.0, 1e-4),
-        ((450.0, 0.08, 1.8), 2.6, 1e-5),
-        ((94.7, 0.0015, 0.0037), 14.2, 1e-8),
-        ((1000.0, 1.0, 1.0), 3.0, 1e-6),
-        ((1.0, 1.0, 1.0), 7.0, 1e-6),
-    ],
-)
+@pytest.mark.parametrize("masses, rate, accuracy", cases("folded_positions_are_passed_within_the_accuracy"))
 @pytest.mark.turn(3)
 def test_folded_positions_are_passed_within_the_accuracy(masses, rate, accuracy):
     """Up to `accurate_until`, which is the last checkpoint before the estimate exceeds the accuracy."""

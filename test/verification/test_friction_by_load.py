@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import yaml
 from convergence import fitted_order
-from scene_files import text_of
+from scene_files import cases, text_of
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 from stop_scenes import chain
@@ -228,21 +228,7 @@ def test_the_running_error_covers_the_true_error():
         assert run.sample().error["rod"][3] >= 0.5 * true
 
 
-@pytest.mark.parametrize(
-    "joint,text",
-    [
-        ({"type": "revolute", "friction": {"mu": 0.1}}, "requires the radius"),
-        ({"type": "prismatic", "friction": {"mu": 0.1, "radius": 0.1}}, "a translation has none"),
-        (
-            {"type": "screw", "pitch": 0.1, "friction": {"mu": 0.1, "radius": 0.1}},
-            "a screw joint has no friction by load",
-        ),
-        (
-            {"type": "revolute", "friction": {"mu": 0.2, "mu_static": 0.1, "radius": 0.1}},
-            "mu_static must be at least mu",
-        ),
-    ],
-)
+@pytest.mark.parametrize("joint,text", cases("what_does_not_fit_is_refused"))
 def test_what_does_not_fit_is_refused(joint, text):
     body = {"name": "b", "mass": 1.0, "inertia": [1.0, 1.0, 1.0]}
     joint = {"name": "j", "parent": "world", "child": "b", "child_frame": {}} | joint
