@@ -90,16 +90,6 @@ def pushed(name, ask, **options):
     return simulation, found
 
 
-@pytest.mark.parametrize("name, options", cases("a_run_does_not_depend_on_the_states_that_are_asked_for"))
-@pytest.mark.volume(3)
-def test_a_run_does_not_depend_on_the_states_that_are_asked_for(name, options):
-    (one, _), (other, _) = (pushed(name, ask, **options) for ask in (False, True))
-    assert one.snapshot() == other.snapshot() and one.substeps == other.substeps
-    assert one.drain_applied() == other.drain_applied()
-    assert list(map(str, one.drain_events())) == list(map(str, other.drain_events()))
-    assert len(one.drain_instants()) == len(other.drain_instants())
-
-
 @pytest.mark.parametrize("name, accuracy", cases("errors_between_steps_are_covered"))
 def test_errors_between_steps_are_covered_by_their_estimate_and_loops_stay_closed(name, accuracy):
     """Of all states 5 % may have an error above the estimate, as between two runs whose errors are equal by chance.

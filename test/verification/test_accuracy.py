@@ -133,36 +133,6 @@ def test_flat_poses_are_passed_with_steps_of_normal_size(accuracy):
     assert attempted <= 1.3 * accepted <= 1.3 * simulation.steps
 
 
-@pytest.mark.parametrize("at_once", [1, 7])
-@pytest.mark.parametrize("name", ["heavy_top", "slider_crank"])
-def test_steps_and_estimates_depend_on_states_and_wrenches_alone(name, at_once):
-    """Bit for bit, however the steps are asked for."""
-
-    def run(at_once):
-        simulation, _ = pushed(name, accuracy=1e-6)
-        while simulation.steps < 150:
-            simulation.advance(min(at_once, 150 - simulation.steps))
-        return simulation
-
-    one, other = run(150), run(at_once)
-    assert one.state()[0].tobytes() == other.state()[0].tobytes()
-    assert one.substeps == other.substeps and one.snapshot() == other.snapshot()
-    other.reset()
-    assert not other.sample().errors.any()
-
-
-@pytest.mark.parametrize("name", ["heavy_top", "slider_crank"])
-def test_a_run_continues_to_the_bit_from_its_state(name):
-    one, _ = pushed(name, accuracy=1e-7)
-    one.advance(101)
-    other = Simulation(one.scene, **one.arguments)
-    other.restore(one.snapshot())
-    assert other.sample().errors.tobytes() == one.sample().errors.tobytes()
-    for simulation in (one, other):
-        simulation.advance(200)
-    assert one.snapshot() == other.snapshot()
-
-
 def test_a_fast_spin_keeps_the_accuracy_from_the_first_step_on():
     """A symmetric rotor at 4e4 rad/s against its closed form; its first step has thousands of substeps.
 

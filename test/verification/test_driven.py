@@ -8,7 +8,6 @@ test_reactions.py.
 
 import numpy as np
 import pytest
-import random_mechanisms
 from convergence import order_by_count
 from given import reference_inputs
 from scene_files import text_of
@@ -199,47 +198,6 @@ def test_commanded_motions_against_the_reference():
     assert difference(simulation, exact, 1) < 1e-10
     estimate = simulation.sample().errors.max()
     assert estimate < 1e-8
-
-
-@pytest.mark.parametrize("options", [{}, {"method": "rkmk4"}, {"method": "generalized_alpha"}])
-def test_repeated_changes_are_bit_identical(options):
-    scene = scene_from_text(PIVOT)
-    one, other = (
-        (Simulation(scene, step=0.01, **options) for _ in range(2))
-        if options
-        else (Simulation(scene, accuracy=1e-6) for _ in range(2))
-    )
-    for change in commanded(one):
-        change.repeat(other)
-    for k in (7, 60, 1, 82):
-        other.advance(k)
-    assert one.state()[0].tobytes() == other.state()[0].tobytes()
-    assert one.state()[1].tobytes() == other.state()[1].tobytes()
-
-
-@pytest.mark.parametrize("method", ["rkmk54", "rkmk853", "radau5"])
-@pytest.mark.parametrize("seed", [1, 2])
-@pytest.mark.volume(3)
-def test_calls_divide_steps_without_a_trace(seed, method):
-    """The time at the end of a step and at the start of the next one are rounded apart."""
-    scene, ends = random_mechanisms.random_mechanism("driven", seed)[0], []
-    for calls in (1, 4, 100):
-        engine = Engine(scene, method, step=1e-3, quiet=True)
-        for _ in range(calls):
-            engine.advance(100 // calls)
-        ends.append(b"".join(part.tobytes() for part in engine.state()))
-    assert ends[0] == ends[1] == ends[2]
-
-
-def test_snapshot_in_a_motion():
-    simulation = Simulation(scene_from_text(PIVOT), accuracy=1e-6)
-    commanded(simulation, 50)
-    kept = simulation.snapshot()
-    simulation.advance(60)
-    end = simulation.state()[0].tobytes()
-    simulation.restore(kept)
-    simulation.advance(60)
-    assert simulation.state()[0].tobytes() == end
 
 
 def test_a_monotone_motion_stays_between_its_points():

@@ -109,30 +109,6 @@ def test_momentum_at_every_impact_of_a_falling_robot(seed):
     assert count >= 100
 
 
-def test_repeated_runs_and_parts_are_bit_equal():
-    """A run in single steps, one in blocks, and one from a snapshot in its middle have the same bits."""
-    scene = chain(2, 12, False)
-    once, blocks = Engine(scene, "rkmk4", 2e-3), Engine(scene, "rkmk4", 2e-3)
-    for _ in range(400):
-        once.advance(1)
-        if once.steps == 200:
-            middle = once.snapshot()
-    blocks.advance(77)
-    blocks.advance(323)
-    end = once.state()
-    assert blocks.state()[0].tobytes() == end[0].tobytes()
-    assert blocks.state()[1].tobytes() == end[1].tobytes()
-    events = len(blocks.drain_events())
-    assert events == len(once.drain_events()) > 50
-    once.restore(middle)
-    once.advance(200)
-    assert once.state()[0].tobytes() == end[0].tobytes()
-    assert once.state()[1].tobytes() == end[1].tobytes()
-
-
-LIMITS = {"lower": -1.0, "upper": 1.0, "restitution": 0.3}
-
-
 def two_links(kind, reverse):
     """Arm and tool, whose joint is described from the arm to the tool or the other way round."""
     on_arm = {"position": [0.5, 0.0, 0.0], "rotation_vector": [0.3, 0.2, 0.1]}

@@ -100,24 +100,6 @@ def test_estimates_cover_the_true_error_through_a_push(name, method, step, stabi
     assert np.median(ratios) <= 5.0
 
 
-@pytest.mark.parametrize("method", ["rkmk4", "rkmk54", "generalized_alpha"])
-@pytest.mark.parametrize("at_once", [1, 7, 300])
-def test_estimates_depend_on_the_steps_alone(method, at_once):
-    """Bit for bit, however the steps are asked for, from a state between two checkpoints on."""
-
-    def run(at_once):
-        simulation, _ = pushed(load_scene("heavy_top"), method, 1e-3, "none")
-        simulation.set_state(*simulation.state(), steps=6)
-        while simulation.steps < 306:
-            simulation.advance(min(at_once, 306 - simulation.steps))
-        return simulation
-
-    one, other = run(300), run(at_once)
-    assert one.sample().errors.tobytes() == other.sample().errors.tobytes()
-    assert one.state()[0].tobytes() == other.state()[0].tobytes()
-    assert one.sample().errors.all()
-
-
 def test_the_estimate_does_not_change_the_motion_and_starts_again_at_a_reset():
     with_estimate, _ = pushed(load_scene("four_bar"), "rkmk4", 1e-3, "projection")
     without = Simulation(load_scene("four_bar"), "rkmk4", stabilisation="projection", estimate=False)
