@@ -38,7 +38,7 @@ def inverse_dynamics(model, work, rates, force_out):
     rates     : (f, 1) qddot, rad/s^2 or m/s^2
     force_out : (f,) N m or N; zero if the equations of motion hold
     Uses kinematics, work.applied and work.multipliers of the stage; overwrites work.moved
-    and force. Accuracy: test/core/test_inverse_dynamics.py.
+    and force. Accuracy: test/core/test_dynamics.py.
     """
     _accelerate(model, work, rates)
     for b in range(len(model.links)):

@@ -11,7 +11,7 @@ coefficients of dexpinv have poles at t = 2 pi k, k > 0; all others are smooth e
 Up to t = 2 only + - * / are used: results are bit-identical on every machine.
 
 Errors are relative, in units of 2^-53, compared with 50 digits on a dense grid that includes both
-sides of each switch: test/core/test_coefficients.py.
+sides of each switch: test/core/test_lie_kernels.py.
 """
 import math
 

@@ -7,11 +7,15 @@ import naive
 import numpy as np
 import precise
 import pytest
+import random_mechanisms
 
 from liegroup_core import Scene, Simulation
+from liegroup_core.dynamics.inverse_dynamics import inverse_dynamics
 from liegroup_core.engine import Engine
+from liegroup_core.methods.munthe_kaas import steps as relative
 from liegroup_core.scene.consistency import resolve_frames
 from liegroup_core.scene.description import Body, Frame, Joint
+from liegroup_core.scene.load import load_scene, scene_from_text
 from liegroup_core.scene.shapes import Rod
 
 
@@ -130,3 +134,157 @@ def test_energy_rate_equals_the_power_of_the_dampers(name):
         power -= spring.damping * ((speeds[1] - speeds[0]) @ d / np.linalg.norm(d)) ** 2
     scale = max(1.0, abs(power))
     assert rate == pytest.approx(power, abs=1e-2 * scale)
+
+
+# Accelerations of the body frames at a state, against derivatives of the motion.
+#
+# Differences over five instants have an error of (omega h)^4, 1e-9 for 50 rad/s and h = 1e-4 s, and a
+# round-off of 1e-16 / h^2 = 1e-8 m/s^2 for 1 m.
+
+
+STEP = 1e-4
+PUSH = [0.3, -0.2, 0.5, 4.0, -3.0, 2.0]
+SCENES = ("heavy_top", "double_pendulum", "four_bar", "bricard", "flyball_governor", "slider_crank")
+
+
+def measured(engine):
+    """(sample, (n, 6) accelerations) in the middle of five instants, by differences."""
+    samples = []
+    for _ in range(5):
+        samples.append(engine.sample())
+        engine.advance(1)
+    x = [sample.pose[:, 9:] for sample in samples]
+    w = [np.einsum("nij,nj->ni", sample.pose[:, :9].reshape(-1, 3, 3), sample.twist[:, :3]) for sample in samples]
+    linear = (-x[0] + 16.0 * x[1] - 30.0 * x[2] + 16.0 * x[3] - x[4]) / (12.0 * STEP**2)
+    angular = (w[0] - 8.0 * w[1] + 8.0 * w[3] - w[4]) / (12.0 * STEP)
+    return samples[2], np.concatenate([angular, linear], axis=1)
+
+
+def in_world(sample):
+    """Sample.accelerations (n, 6), in world axes."""
+    R = sample.pose[:, :9].reshape(-1, 3, 3)
+    found = np.array(list(sample.accelerations.values())).reshape(-1, 2, 3)
+    return np.einsum("nij,nkj->nki", R, found).reshape(-1, 6)
+
+
+def check(scene, wrenches=()):
+    engine = Engine(scene, "rkmk4", STEP, quiet=True, stabilisation="projection")
+    for body, wrench, axes in wrenches:
+        engine.apply_wrench(body, wrench, source=axes, axes=axes)
+    engine.advance(20)
+    sample, expected = measured(engine)
+    found = in_world(sample)
+    size = max(1.0, np.abs(expected).max())
+    assert np.abs(found - expected).max() <= 1e-6 * size
+
+
+@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("axes", ["body", "world"])
+@pytest.mark.turn(3)
+def test_accelerations_are_the_derivatives_of_the_motion(name, axes):
+    scene = load_scene(name)
+    check(scene, [(scene.bodies[-1].name, PUSH, axes)])
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("name", ["tree", "loops", "couplings"])
+@pytest.mark.volume(4)
+def test_accelerations_of_random_mechanisms(name, seed):
+    check(*random_mechanisms.random_mechanism(name, seed))
+
+
+def test_a_free_body_falls_and_turns_as_in_closed_form():
+    """A wrench about the frame's origin, and a centre of mass away from it."""
+    scene = scene_from_text(
+        "name: one\ngravity: [0, 0, -9.81]\nbodies:\n"
+        "  - {name: stone, mass: 2, inertia: [1, 2, 3], com: [0, 0, 1], "
+        "angular_velocity: [2, 0, 0]}\n"
+    )
+    engine = Engine(scene, "rkmk4", quiet=True)
+    engine.apply_wrench("stone", [0, 0, 0, 4, 0, 0])
+    engine.advance(0)
+    found = in_world(engine.sample())
+    # The force at the origin has the moment (0, -4, 0) about the centre of mass: omega_y' = -2.
+    # Centre: (2, 0, -9.81). Origin: omega' x (0, 0, -1) = (2, 0, 0), and 4 m/s^2 towards the centre.
+    assert found[0] == pytest.approx([0.0, -2.0, 0.0, 4.0, 0.0, -9.81 + 4.0], abs=1e-12)
+
+
+def test_a_wrench_of_the_scene_counts_from_its_start():
+    scene = scene_from_text(
+        "name: timed\ngravity: [0, 0, 0]\nbodies: [{name: a, mass: 2, inertia: [1, 1, 1]}]\n"
+        "forces: [{name: jet, type: applied_wrench, body: a, force: [6, 0, 0], start: 0.003, end: 0.005}]\n"
+    )
+    engine = Engine(scene, "rkmk4", 1e-3, quiet=True)
+    found = []
+    for _ in range(7):
+        found.append(in_world(engine.sample())[0, 3])
+        engine.advance(1)
+    assert found == [0.0, 0.0, 0.0, 3.0, 3.0, 0.0, 0.0]
+
+
+# Generalised forces of joint accelerations, in space and in the plane.
+#
+# The mass matrix M of the joints is that of the kinetic energy, which bodies, their masses and twists
+# give without joints. The whole is compared with articulated bodies: forces vanish at the accelerations
+# and multipliers of the index-1 equations, which test_relative_accelerations.py checks against 50
+# digits to 1e-12 of an acceleration. A force is a sum over at most 40 bodies of products with such
+# errors: 1e-10 of the largest addend, |M| |qddot| or the bias, leaves room for levers.
+
+
+SPACES = ("auto", "space")
+CASES = [(name, seed) for name in random_mechanisms.CLASSES for seed in range(4)]
+ADDENDS = 1e-10
+
+
+def solved(scene, wrenches, space):
+    """(engine, model, work) of a mechanism, with accelerations and multipliers in work."""
+    simulation = Engine(scene, "rkmk4", quiet=True, group="relative", space=space)
+    for body, wrench, axes in wrenches:
+        simulation.apply_wrench(body, wrench, source=axes, axes=axes)
+    simulation.advance(0)
+    model, work = engine.at_stage(simulation)
+    assert relative.accelerate(model, work, simulation.inputs.acting.external) == -1
+    return simulation, model, work
+
+
+def forces(model, work, rates):
+    """Forces (f,) of the joint accelerations `rates`."""
+    out = np.zeros(len(rates))
+    inverse_dynamics(model, work, rates.reshape(-1, 1), out)
+    return out
+
+
+def mass_matrix(model, work):
+    """(M, bias) (f, f) and (f,), by unit accelerations."""
+    f = len(work.acceleration)
+    bias = forces(model, work, np.zeros(f))
+    return np.column_stack([forces(model, work, unit) - bias for unit in np.eye(f)]), bias
+
+
+@pytest.mark.parametrize("name, seed", CASES)
+@pytest.mark.parametrize("space", SPACES)
+@pytest.mark.volume(5)
+def test_forces_vanish_at_the_accelerations_of_the_equations_of_motion(name, seed, space):
+    scene, wrenches = random_mechanisms.random_mechanism(name, seed)
+    _, model, work = solved(scene, wrenches, space)
+    rates = work.acceleration[:, 0].copy()
+    left = forces(model, work, rates)
+    M, bias = mass_matrix(model, work)
+    assert np.abs(M - M.T).max() <= 1e-12 * np.abs(M).max()
+    largest = np.abs(M).max() * np.abs(rates).max() + np.abs(bias).max()
+    assert np.abs(left).max() <= ADDENDS * largest
+
+
+@pytest.mark.parametrize("name", ["tree", "loops", "planar loops"])
+@pytest.mark.parametrize("space", SPACES)
+@pytest.mark.volume(2)
+def test_the_mass_matrix_is_that_of_the_kinetic_energy(name, space):
+    for seed in range(4):
+        simulation, model, work = solved(*random_mechanisms.random_mechanism(name, seed), space)
+        M, _ = mass_matrix(model, work)
+        rates = np.concatenate(
+            [row[:count] for row, count in zip(work.stage_twist[len(model.bodies) :], model.links["freedoms"])]
+        )
+        twists = simulation.state()[1].ravel()
+        energy = 0.5 * twists @ engine.masses(simulation.layout.centred) @ twists
+        assert 0.5 * rates @ M @ rates == pytest.approx(energy, rel=1e-11)

@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Solids: mass, centre of mass and inertia against numerical volume integration."""
+"""Mass, centre of mass and inertia of shapes, and the characteristic length of a scene."""
 
 import numpy as np
 import pytest
 from numpy.polynomial.legendre import leggauss
+from scene_files import text_of
 
 from liegroup_core.errors import SceneError
+from liegroup_core.layout import make_layout
 from liegroup_core.lie.groups import SO3
 from liegroup_core.scene import Body, Scene, scene_from_text
 from liegroup_core.scene.shapes import SHAPES, Box, Cylinder, Rod, Sphere
@@ -126,3 +128,26 @@ def test_the_inertia_of_an_offset_solid_is_about_its_centre_of_mass():
     assert here.inertia == there.inertia
     R = SO3.exp((0.1, 0.2, 0.3))
     np.testing.assert_allclose(R.T @ here.inertia_matrix @ R, np.diag([13, 10, 5]) / 12, atol=1e-15)
+
+
+# Size of a mechanism, of which an accuracy is a part.
+
+
+BALL = text_of("ball_size.yaml")
+LINE = "joints:\n  - {name: line, type: TYPE, parent: world, child: ball, parent_frame: {}, child_frame: {}"
+SMALL = "0.02, 0.02, 0.02"
+
+
+@pytest.mark.parametrize(
+    "inertia, joint, size",
+    [
+        (SMALL, "", 0.03**0.5),  # sqrt(trace(I) / m)
+        (SMALL, LINE.replace("TYPE", "distance") + "}", 3.0),
+        (SMALL, LINE.replace("TYPE", "distance") + ", length: 3.0}", 3.0),
+        (SMALL, LINE.replace("TYPE", "cable") + ", length: 4.0}", 4.0),
+        (SMALL, LINE.replace("TYPE", "strut") + ", length: 2.0}", 2.0),
+    ],
+)
+def test_size_is_the_largest_length(inertia, joint, size):
+    scene = scene_from_text(BALL.replace("INERTIA", inertia) + joint)
+    assert make_layout(scene).size == pytest.approx(size, rel=1e-15)
