@@ -8,6 +8,8 @@ from volume import has_turn, some  # imports no NumPy
 
 # One thread for BLAS, before any test loads NumPy: more make small solves slower.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# Commands share their work out to one process for each core: to start others takes longer than the work of most tests.
+os.cpu_count = lambda: 1
 # A shell starts a process in the background with SIGINT ignored, and so would be the Ctrl-C of the tests.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 

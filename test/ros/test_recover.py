@@ -3,17 +3,13 @@
 
 import json
 import random
-import struct
-import zlib
 
 import pytest
-import zstandard
 from example_run import ClockCodec, python, record_run
-from mcap.data_stream import RecordBuilder
+from hostile_recordings import HOSTILE, hostile
 from mcap.reader import make_reader
-from mcap.records import Attachment, Channel, Chunk, Metadata, Schema
 from mcap.stream_reader import StreamReader
-from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
+from mcap.writer import CompressionType, Writer
 from rosbags.highlevel import AnyReader
 
 from liegroup_sim_ros.commands.info import as_json
@@ -21,7 +17,6 @@ from liegroup_sim_ros.commands.main import main
 from liegroup_sim_ros.recording import write_mcap
 from liegroup_sim_ros.recording.damaged_recover import write_recovered
 from liegroup_sim_ros.recording.damaged_survey import survey
-from liegroup_sim_ros.recording.mcap_records import LARGEST
 from liegroup_sim_ros.recording.read import RecordingError
 from liegroup_sim_ros.recording.write import Recorder
 
@@ -56,13 +51,6 @@ def messages_of(path):
         rows = [(message.log_time, message.data) for _, _, message in reader.iter_messages()]
         assert reader.get_summary().statistics.message_count == len(rows)
     return rows
-
-
-def record(kind):
-    """Bytes of an MCAP record."""
-    builder = RecordBuilder()
-    kind.write(builder)
-    return builder.end()
 
 
 def one_line(error, path):
@@ -215,116 +203,11 @@ def test_a_closed_stdout_ends_the_command_cleanly(small):
         assert (child.wait(60), child.stderr.read()) == (141, "")
 
 
-def bomb(size, chunks, noise=0, payload=0):
-    """Small chunks that decompress to a large size, with messages of undeclared channels."""
-    data = struct.pack("<BQHIQQ", 5, 22 + noise, 1, 1, 1, 1) + random.Random(3).randbytes(noise)
-    message = struct.pack("<BQHIQQ", 5, 22 + payload, 1, 1, 1, 1) + bytes(payload)
-    data += message * ((size - len(data)) // len(message))
-    chunk = record(
-        Chunk(
-            compression="zstd",
-            data=zstandard.compress(data, 19),
-            message_start_time=1,
-            message_end_time=1,
-            uncompressed_crc=zlib.crc32(data),
-            uncompressed_size=len(data),
-        )
-    )
-    return chunk * chunks
-
-
-def claimed_chunk(frame, size):
-    return record(
-        Chunk(
-            compression="zstd",
-            data=frame,
-            message_start_time=0,
-            message_end_time=0,
-            uncompressed_crc=0,
-            uncompressed_size=size,
-        )
-    )
-
-
-def zeros_that_claim_nothing(size):
-    """zstd stream without a content size."""
-    compressor = zstandard.ZstdCompressor(level=3).compressobj()
-    return b"".join([*(compressor.compress(bytes(2**20)) for _ in range(size // 2**20)), compressor.flush()])
-
-
-EVIL = "<script>alert(1)</script>\x1b[31m\n[bold red]"
-HOSTILE = {
-    "nothing": b"",
-    "text": b"#!/bin/sh\n",
-    "magic only": MCAP0_MAGIC,
-    "noise": MCAP0_MAGIC + random.Random(1).randbytes(300_000),
-    "huge length": MCAP0_MAGIC + b"\x06" + b"\xff" * 8 + bytes(50),
-    "huge attachment": MCAP0_MAGIC + b"\x09" + struct.pack("<Q", 2**62) + bytes(50),
-    "many bombs": MCAP0_MAGIC + bomb(LARGEST - 100, 200),
-    # Each for itself within what a chunk may claim, all together not.
-    "many chunks that grow": MCAP0_MAGIC
-    + record(Attachment(0, 0, "a", "b", b""))
-    + bomb(LARGEST - 100, 4, noise=80_000, payload=1000),
-    "short message": MCAP0_MAGIC
-    + record(Channel(id=1, topic="/a", message_encoding="cdr", metadata={}, schema_id=0))
-    + struct.pack("<BQHIQQ", 5, 22, 1, 1, 1, 1)
-    + struct.pack("<BQI", 5, 4, 0)
-    + struct.pack("<BQHIQQ", 5, 22, 1, 2, 2, 2),
-    "length beyond its record": MCAP0_MAGIC
-    + struct.pack("<BQHIIIH", 3, 16, 1, 0, 0, 2**32 - 1, 0)
-    + record(Channel(id=1, topic="/a", message_encoding="cdr", metadata={}, schema_id=1)),
-    "bomb that claims 2^60": MCAP0_MAGIC + claimed_chunk(zeros_that_claim_nothing(2**28), 2**60),
-    "bomb that claims little": MCAP0_MAGIC + claimed_chunk(zeros_that_claim_nothing(2**28), 9),
-    "frame that claims 2^60": MCAP0_MAGIC
-    + claimed_chunk(b"\x28\xb5\x2f\xfd\xe0" + struct.pack("<Q", 2**60) + bytes(100), 100),
-    "cut bomb": MCAP0_MAGIC + claimed_chunk(zeros_that_claim_nothing(2**30), 2**62)[:-9],
-    "chunk marks": MCAP0_MAGIC
-    + (b"\x06" + struct.pack("<Q", 200_000) + bytes(28) + b"\x04\0\0\0zstd" + struct.pack("<Q", 199_952)) * 8000,
-    "zero records": MCAP0_MAGIC + bytes(2_000_000),
-    "many attachments": MCAP0_MAGIC + record(Attachment(0, 0, "a", "b", b"")) * 100_000,
-    "many channels": MCAP0_MAGIC
-    + b"".join(
-        record(Channel(id=i, topic=f"/{i}" + "x" * 300, message_encoding="cdr", metadata={}, schema_id=0))
-        for i in range(1, 60_000)
-    ),
-    "names": MCAP0_MAGIC
-    + record(Schema(id=1, data=b"", encoding="ros2msg", name=EVIL))
-    + record(Channel(id=1, topic=EVIL, message_encoding="cdr", metadata={}, schema_id=1))
-    + record(Attachment(0, 0, EVIL, EVIL, b"x"))
-    + record(Metadata(EVIL, {EVIL: EVIL})),
-    "deep JSON": MCAP0_MAGIC + record(Attachment(0, 0, "settings.json", "x", b"[" * 500_000)),
-    "nested JSON": MCAP0_MAGIC
-    + record(Attachment(0, 0, "settings.json", "x", b'{"machine": ' * 400 + b"1" + b"}" * 400)),
-    "numbers of no JSON": MCAP0_MAGIC
-    + record(Attachment(0, 0, "settings.json", "x", b'{"format": 1, "step": NaN, "machine": 1e999}')),
-    "odd JSON": MCAP0_MAGIC
-    + record(
-        Attachment(
-            0,
-            0,
-            "settings.json",
-            "x",
-            json.dumps(
-                {
-                    "format": 1,
-                    "scene": EVIL,
-                    "step": {},
-                    "promise": {"accuracy": 10**400, "horizon": 1, "length": 1},
-                    "sequences": {"/a": -1, "/b": "x"},
-                    "part": [1],
-                }
-            ).encode(),
-        )
-    )
-    + record(Attachment(0, 0, "initial_state.json", "x", b'{"steps": "many", "bodies": 7}')),
-}
-
-
 @pytest.mark.turn(3)
 def test_hostile_files_use_bounded_memory_and_time_and_give_one_line(tmp_path):
     """Each in a process limited to 1.5 GB of address space, libraries included."""
-    for name, data in HOSTILE.items():
-        (tmp_path / f"{name}.mcap").write_bytes(data)
+    for name in HOSTILE:
+        (tmp_path / f"{name}.mcap").write_bytes(hostile(name))
     child = python(
         """
         import contextlib, io, json, re, resource, sys, time
