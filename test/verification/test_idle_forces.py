@@ -133,6 +133,7 @@ def events_of(scene):
 
 
 @pytest.mark.parametrize("seed", range(SCENES))
+@pytest.mark.volume(9)
 def test_the_same_motion_in_seven_variants_has_the_same_events(seed):
     scene, kind = draw(seed)
     expected = events_of(scene)

@@ -78,6 +78,7 @@ def four_bar_period(speed=10.0 * math.pi):
     return 2.0 * math.pi * np.sqrt(moment / moment[0]).mean() / speed
 
 
+@pytest.mark.turn(3)
 def test_a_closed_loop_returns_after_eighty_periods():
     """The redundant row of the planar loop stays redundant; a drift out of the plane would grow tenfold per second.
 
@@ -100,6 +101,7 @@ def test_a_stiff_spring_costs_few_steps():
     assert reference.steps < 100
 
 
+@pytest.mark.turn(3)
 def test_a_chaotic_motion_ends_where_it_is_unknown():
     """Two pendulums in line: their uncertainty grows by a factor of ten in about two seconds."""
     scene = load_scene("double_pendulum")

@@ -184,6 +184,7 @@ def test_rounded_rows_of_the_engine_meet_the_bound_if_they_are_solved_exactly(na
 
 
 @pytest.mark.turn(3)
+@pytest.mark.turn(3)
 def test_every_type_of_joint_and_force_is_among_them():
     joints, forces, axes = set(), set(), set()
     for name in random_mechanisms.CLASSES:
