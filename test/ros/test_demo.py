@@ -37,6 +37,7 @@ def running(out):
     return found
 
 
+@pytest.mark.turn(2)
 def test_demo(tmp_path):
     """Recording, report and figures of a run with a wrench that repeats bit for bit."""
     out = tmp_path / "out"

@@ -13,6 +13,7 @@ import pytest
 from hostile import Messages, texts, xacro_text
 from node_process import UNDISCOVERED, NodeProcess
 from scene_files import text_of
+from volume import VERIFY
 
 from liegroup_core.scene.library import chain
 from liegroup_sim_ros.recording.read import read_recording
@@ -21,8 +22,8 @@ NODE = "/besieged"
 SCENE = text_of("besieged.yaml")
 NAMES = ("arm", "stone", "hinge", "arm/pose", "arm/twist", "hinge/position", "hinge/velocity", "body")
 NAMES += ("duration", "force", "point", "scene", "record", "snapshot", "step_count", "real_time_factor")
-REQUESTS = 30  # to each service
-MESSAGES = 60  # to each topic
+REQUESTS = 30 if VERIFY else 10  # to each service
+MESSAGES = 60 if VERIFY else 20  # to each topic
 FROZEN = 10.0  # s of CPU time of the node; far above the 2 ms that an answer takes
 MEMORY = 2**20  # kB
 # Types of messages that may have any length, and their fields of numbers.
