@@ -159,20 +159,6 @@ def test_energy_that_friction_takes():
     assert energy - engine.energy() == pytest.approx(slid @ [4.0, 1.0], abs=2e-3)
 
 
-def test_estimate_covers_friction():
-    """The estimated error of an accuracy holds where joints stick and slip."""
-    text = CHAIN.replace("SHOULDER", "4.0").replace("ELBOW", "1.0")
-    simulation = Simulation(scene_from_text(text), accuracy=1e-6, horizon=5.0)
-    exact = Engine(scene_from_text(text), "rkmk8", 5e-4)
-    for _ in range(10):
-        simulation.advance(round(0.5 / simulation.step))
-        exact.advance(1000)
-        ours, theirs = simulation.sample(), exact.sample()
-        true = max(abs(a[0] - b[0]) for a, b in zip(ours.joint_coordinates.values(), theirs.joint_coordinates.values()))
-        assert true <= 2e-6
-    assert simulation.doubt is None
-
-
 def test_crank_with_friction_and_a_stop():
     """In a closed loop a stop of the slider and friction of the crank act together.
 

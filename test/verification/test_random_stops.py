@@ -130,7 +130,7 @@ def test_random_mechanisms(seed, floating):
 
 
 @pytest.mark.parametrize("seed", [0, 3])
-@pytest.mark.turn(3)
+@pytest.mark.volume(1)
 def test_estimate_of_random_mechanisms(seed):
     """The estimated error of a simulation covers what half its step changes."""
     scene = mechanism(seed, False)
