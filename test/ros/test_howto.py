@@ -182,6 +182,7 @@ TUTORIAL_COMMANDS = re.findall(r"```sh\n(.*?)\n```", TUTORIAL_PAGE, re.DOTALL)
 LINES = [shlex.split(line) for block in TUTORIAL_COMMANDS for line in block.splitlines()]
 
 
+@pytest.mark.turn(2)
 def test_all_tutorial_commands_without_ros(tmp_path, monkeypatch, capsys):
     (tmp_path / "crane.yaml").write_text(SCENE)
     monkeypatch.chdir(tmp_path)

@@ -124,6 +124,7 @@ def test_each_quantity_of_the_state_is_an_output(made):
     assert found.derivatives[0, 0, 0] == pytest.approx((energies[1] - energies[0]) / 2e-4, rel=1e-5, abs=1e-7)
 
 
+@pytest.mark.volume(1)
 def test_each_quantity_of_the_state_is_measured_in_a_log(made):
     """Noise of 1e-3 of what a column does: the scene that made the log agrees with it."""
     simulation = Simulation(made.scene, accuracy=1e-9, quiet=True)

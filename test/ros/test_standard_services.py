@@ -480,6 +480,7 @@ assert call(SetEntityState, "set_entity_state", SetEntityState.Request(entity="s
 """
 
 
+@pytest.mark.turn(3)
 def test_the_flags_and_resources_of_the_latest_release(request, files):
     if missing():
         pytest.skip(f"{missing()} is missing")
