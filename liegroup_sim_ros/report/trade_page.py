@@ -52,9 +52,10 @@ def _stars(part):
     with np.errstate(divide="ignore", invalid="ignore"):  # a cost or an error of zero is not shown
         logarithms = np.log10(np.array(every).reshape(-1, 2))
         shown = logarithms[np.isfinite(logarithms).all(axis=1)]
+        extent = np.ptp(shown, axis=0) if len(shown) else np.zeros(2)
         for k in range(len(stars) - 1):
             (at, text), (after, more) = stars[k : k + 2]
-            if (np.abs(logarithms[k + 1] - logarithms[k]) < CLOSE * np.ptp(shown, axis=0)).all():
+            if (np.abs(logarithms[k + 1] - logarithms[k]) < CLOSE * extent).all():
                 stars[k : k + 2] = (at, ""), (after, f"{text}, {more}")
     return stars
 
