@@ -100,6 +100,7 @@ def run(code, cache, ends=0):
 @pytest.mark.slow
 @pytest.mark.parametrize("interrupted", [BY_SIGNAL, FROM_OUTSIDE], ids=["signal", "asynchronous"])
 @pytest.mark.volume(1)
+@pytest.mark.turn(3)
 def test_after_an_interrupt_at_any_time_kernels_work(tmp_path, interrupted):
     """While they are compiled, and while they are loaded from the cache."""
     out, _ = run(interrupted + ROUNDS, tmp_path)
