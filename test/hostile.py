@@ -53,7 +53,7 @@ def expression(rng):
     return text
 
 
-XACRO = text_of("r_hostile.urdf")
+XACRO = text_of("expression.xacro")
 
 
 def xacro_text(value):

@@ -63,7 +63,7 @@ def test_a_motion_that_leaves_the_range_of_its_points_is_a_note(caplog):
         assert [record.getMessage() for record in caplog.records if "overshoots" in record.getMessage()] == notes
 
 
-LINKS = text_of("links.xml")
+LINKS = text_of("floating_links.xml")
 
 
 def test_total_mass_centre_of_mass_and_extents(tmp_path):

@@ -13,7 +13,7 @@ from liegroup_core.joints.limits import BeyondLimits
 from liegroup_core.lie.groups import SE3, SO3
 from liegroup_core.scene.load import load_scene, scene_from_text
 
-FREE = text_of("two.yaml")
+FREE = text_of("two_free.yaml")
 
 
 def pose(rotation, position):

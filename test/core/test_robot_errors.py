@@ -133,7 +133,7 @@ def test_a_mesh_of_mjcf_may_be_missing_unless_a_mass_follows_from_it(inertial, m
     assert [visual.kind for visual in scene.robot.visuals["arm"]] == ["box"]
 
 
-XACRO = text_of("two.urdf")
+XACRO = text_of("two.xacro")
 
 
 @pytest.mark.turn(3)

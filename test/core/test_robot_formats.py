@@ -348,7 +348,7 @@ def test_a_capsule_is_a_tube_with_round_ends(tmp_path):
     assert body.inertia[:3] == pytest.approx((across, across, (m * r2 / 2).sum()), rel=1e-8)
 
 
-UNUSUAL = text_of("m_robot_formats.sdf")
+UNUSUAL = text_of("unusual.sdf")
 
 
 def test_what_sdf_has_and_a_scene_has_not_is_noted(tmp_path):
@@ -491,7 +491,7 @@ def test_links_without_gravity_and_springs_of_gazebo_have_mujocos_accelerations(
     assert turns[1][0] - turns[0][0] == pytest.approx(data.qacc[1], rel=1e-9)
 
 
-DRAKE = text_of("x_robot_formats.urdf")
+DRAKE = text_of("drake_joint.urdf")
 IN_MUJOCO = {
     "ball": '<joint type="ball"/>',
     "universal": '<joint axis="1 0 0"/><joint axis="0 1 0"/>',
@@ -586,7 +586,7 @@ def test_gravity_of_links_of_sdf(tmp_path):
     assert accelerations["b"] == pytest.approx([0, 0, 0, 0, 0, -9.81], abs=1e-14)
 
 
-DRIVEN = text_of("driven.xml")
+DRIVEN = text_of("driven_actuators.xml")
 
 
 @pytest.mark.parametrize("actuators, forces, data, notes", cases("actuators_of_mjcf"))
@@ -779,7 +779,7 @@ def test_springs_and_servos_act_from_the_start_of_a_joint_beyond_half_a_turn(tmp
     assert servo.stiffness * (servo.position - angle) == pytest.approx(3.0 * (5.0 - 4.0), rel=1e-14)
 
 
-TENDONS = text_of("x_robot_formats.xml")
+TENDONS = text_of("tendons.xml")
 
 
 PULLED = (

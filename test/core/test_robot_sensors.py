@@ -149,7 +149,7 @@ def test_a_force_torque_sensor_of_sdf_has_its_axes_its_point_and_its_sign(tmp_pa
 def test_placed_sensors_of_sdf_and_urdf_show_what_mujoco_shows(tmp_path):
     """An arm that turns at 2 rad/s: the accelerometer has centripetal and Euler terms."""
     mujoco = pytest.importorskip("mujoco")
-    model = mujoco.MjModel.from_xml_string(text_of("xml_robot_sensors.xml"))
+    model = mujoco.MjModel.from_xml_string(text_of("placed_sensors.xml"))
     data = mujoco.MjData(model)
     data.qvel[:] = 2.0
     mujoco.mj_forward(model, data)
@@ -160,7 +160,7 @@ def test_placed_sensors_of_sdf_and_urdf_show_what_mujoco_shows(tmp_path):
     to_cell = data.site("cell").xmat.reshape(3, 3).T @ tool
     expected = {"imu": [*gyro, *acceleration], "cell": [*to_cell @ (torque - np.cross(cell, force)), *to_cell @ force]}
     sensors = """<sensor name="imu" type="imu"><pose relative_to="mark">0 0 0.1 0 0 0</pose></sensor>"""
-    urdf = filled(text_of("urdf_robot_sensors.urdf"), sensors=sensors)
+    urdf = filled(text_of("placed_sensors.urdf"), sensors=sensors)
     of_cell = {"base": ' relative_to="mark"', "frame": "sensor", "direction": "parent_to_child"}
     for name, text in (("arm.sdf", filled(SDF, **OF_CELL | of_cell)), ("arm.urdf", urdf)):
         path = written(tmp_path / name, text)
@@ -186,7 +186,7 @@ def test_what_a_sensor_of_sdf_has_and_a_scene_has_not_is_noted(tmp_path):
     assert [joint.name for joint in scene.joints] == ["shoulder"]
 
 
-MJCF = text_of("mjcf.xml")
+MJCF = text_of("sensors.xml")
 
 
 def test_sensors_of_mjcf_show_what_mujoco_shows(tmp_path):

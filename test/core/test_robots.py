@@ -322,8 +322,8 @@ def test_starts_of_floating_links_and_of_joints_with_several_coordinates(tmp_pat
         assert body.twist == pytest.approx([*omega, *v], abs=1e-15)
 
 
-PLANAR_URDF = text_of("r_robots.urdf")
-UNIVERSAL_SDF = text_of("m_robots.sdf")
+PLANAR_URDF = text_of("planar.urdf")
+UNIVERSAL_SDF = text_of("universal.sdf")
 
 
 @pytest.mark.parametrize(
@@ -705,7 +705,7 @@ def test_the_root_link_of_a_floating_robot_stays_whatever_the_order(order, lock,
 
 @pytest.mark.parametrize(("canonical", "still"), [("", "b"), ('canonical_link="a"', "a")])
 def test_the_canonical_link_of_a_floating_model_stays(canonical, still, tmp_path):
-    path = written(tmp_path / "two.sdf", filled(text_of("sdf_robots.sdf"), canonical=canonical))
+    path = written(tmp_path / "two.sdf", filled(text_of("canonical_link.sdf"), canonical=canonical))
     options = Options(start={"j": 0.5}, start_velocity={"j": 1.0})
     poses, twists = placed_links(scene_from_robot(path, options))
     expected = {"a": [1, 0, 0], "b": [0, 0, 1]}[still]

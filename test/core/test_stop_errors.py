@@ -23,7 +23,7 @@ SPARE = {  # a body on a hinge beside the first one
 }
 
 
-def text_of(kind, coupling=None, **more):
+def scene_text(kind, coupling=None, **more):
     """Scene of a body 0.5 m below the origin, on a joint of a type; at z with its frame there."""
     joint = {"name": "j", "type": kind, "parent": "world", "child": "a", "parent_frame": {}}
     joint |= {"child_frame": {} if kind in ("cable", "strut") else HALF} | more
@@ -102,7 +102,7 @@ WRONG = [
 def test_wrong_stops_are_refused_in_one_line(kind, more, message):
     """The line begins with the place in the file and the joint or coupling."""
     with pytest.raises(SceneError, match=message) as refused:
-        scene_from_text(text_of(kind, **more))
+        scene_from_text(scene_text(kind, **more))
     what = r"couplings\[0\] .gears" if "coupling" in more else r"joints\[0\] .j"
     assert "\n" not in str(refused.value)
     refused.match(rf"^scene:\d+: {what}")
@@ -123,7 +123,7 @@ STARTS = [
 @pytest.mark.parametrize("limits, angle, coordinate", STARTS)
 def test_the_turn_of_a_start(limits, angle, coordinate):
     """An angle in (-pi, pi] between the stops is taken as it is; else the only turn is taken."""
-    scene = yaml.safe_load(text_of("revolute", limits=limits))
+    scene = yaml.safe_load(scene_text("revolute", limits=limits))
     scene["joints"][0]["parent_frame"] = {"rotation_vector": [0.0, 0.0, -angle]}
     engine = Engine(scene_from_text(yaml.safe_dump(scene)), "rkmk4", 1e-3)
     assert engine.sample().switching[0, 3] == pytest.approx(coordinate, abs=1e-12)
@@ -159,7 +159,7 @@ BEYOND = [
 @pytest.mark.parametrize("kind, more, pose, message", BEYOND)
 def test_a_place_beyond_a_stop_is_refused(kind, more, pose, message):
     """Rigid stops refuse it with one line, and nothing changes; other poses are taken."""
-    engine = Engine(scene_from_text(text_of(kind, **more)), "rkmk4", 1e-3)
+    engine = Engine(scene_from_text(scene_text(kind, **more)), "rkmk4", 1e-3)
     engine.advance(3)
     before = engine.state()
     if message is None:
@@ -174,7 +174,7 @@ def test_a_place_beyond_a_stop_is_refused(kind, more, pose, message):
 
 def test_a_place_beyond_the_backlash_of_a_coupling_is_refused():
     """Within the gap each joint is set alone; beyond it both must be."""
-    text = text_of("revolute", {"backlash": {"gap": 0.1}})
+    text = scene_text("revolute", {"backlash": {"gap": 0.1}})
     engine = Engine(scene_from_text(text), "rkmk4", 1e-3)
     engine.place(joints={"j": (0.04, 0.0)})
     assert engine.sample().joint_coordinates["spare_hinge"] == (0.0, 0.0)

@@ -174,7 +174,12 @@ def test_an_accuracy_that_changes_between_states_of_one_step_repeats(ros_node, t
     assert [event.name for event in recording.events].count("accuracy") == 1
 
 
-ARM = text_of("arm_accuracy_runs.yaml")
+ARM = (
+    text_of("arm_servos.yaml")
+    + """  - {name: drive, type: servo, joint: hinge, stiffness: 90, damping: 8, effort_limit: 9}
+  - {name: pull, type: linear_servo, joint: slide, stiffness: 300, damping: 20}
+"""
+)
 
 
 @pytest.mark.turn(3)

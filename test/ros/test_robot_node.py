@@ -271,7 +271,7 @@ def test_other_parsers_place_the_links_as_tf_does(name, tmp_path):
 LOOSE = {"stewart.sdf": 7, "ball_chain": 10, "apart.xml": 1, "slider_crank": 1}  # links that are floating
 
 
-APART_XML = text_of("apart_xml.xml")
+APART_XML = text_of("apart.xml")
 
 
 VISUAL = """<visual name="v"><pose>0.1 0 0 0 0.5 0</pose>

@@ -256,7 +256,7 @@ COLLADA = """<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" versi
 <input semantic="VERTEX" source="#v" offset="0"/><p>0 2 1 0 1 3 1 2 3 2 0 3</p></triangles></mesh></geometry>
 </library_geometries><library_visual_scenes><visual_scene id="vs"><node><instance_geometry url="#g"/></node>
 </visual_scene></library_visual_scenes><scene><instance_visual_scene url="#vs"/></scene></COLLADA>"""
-COLOURED = text_of("r_robot_page.urdf")
+COLOURED = text_of("coloured.urdf")
 COLOURED_SDF = """<sdf version="1.9"><model name="m"><link name="l"><visual name="v">
 <transparency>0.5</transparency><geometry><ellipsoid><radii>0.1 0.2 0.3</radii></ellipsoid></geometry>
 <material><ambient>1 1 1</ambient><diffuse>0 0.5 1 1</diffuse></material></visual></link></model></sdf>"""

@@ -131,7 +131,7 @@ def test_sleeve_with_stops_and_friction():
     Both coordinates of the cylindrical joint have closed forms: bounces at t0 (1 + 2 e + ...), the
     rotation J w / torque; the translation has no friction, and the rotation no influence.
     """
-    text = text_of("ring_backlash_2.yaml")
+    text = text_of("ring_with_stops.yaml")
     engine = Engine(scene_from_text(text), "rkmk4", 1e-2)
     engine.advance(300)
     events = engine.drain_events()
@@ -155,7 +155,7 @@ def test_sleeve_with_stops_and_friction():
 
 def test_sleeve_with_friction_along_and_about():
     """A ring slides down a rod against friction; it turns against other friction."""
-    text = text_of("ring_backlash.yaml")
+    text = text_of("ring_along_and_about.yaml")
     engine = Engine(scene_from_text(text), "rkmk4", 1e-2)
     engine.advance(300)
     events = {event.joint: event for event in engine.drain_events()}

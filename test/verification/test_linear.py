@@ -8,7 +8,7 @@ import precise
 import pytest
 import random_mechanisms
 import scipy
-from scene_files import text_of
+from scene_files import filled, text_of
 
 from liegroup_core import Simulation
 from liegroup_core.errors import SceneError
@@ -277,7 +277,7 @@ def test_redundant_inputs_hold_a_pose_by_the_smallest_sum_of_squares():
 
 
 def test_an_equilibrium_beyond_a_stop_is_none():
-    text = text_of("stop_linear.yaml")
+    text = filled(text_of("rod_on_stop.yaml"), upper=0.7)
     with pytest.raises(TrimError, match="is beyond a stop: hinge would be at 1.5708 rad"):
         trim(paused(yaml_scene(text)))
 

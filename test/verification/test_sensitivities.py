@@ -37,7 +37,7 @@ def test_derivatives_of_a_throw():
 def test_derivatives_of_a_rotor():
     """omega = (tau / d) (1 - exp(-d t / I)) with damping d: by tau, d and I."""
     tau, d, inertia = 2.0, 0.7, 0.4
-    scene = scene_from_text(filled(text_of("rotor_sensitivities_2.yaml"), inertia=inertia, tau=tau, d=d), source="t")
+    scene = scene_from_text(filled(text_of("rotor_damped.yaml"), inertia=inertia, tau=tau, d=d), source="t")
     found = sensitivities(scene, ["motor.torque", "bearing.damping", "wheel.inertia.2"], TIMES, ["axle.velocity"])
     t = np.array(TIMES)
     e = np.exp(-d * t / inertia)
@@ -49,7 +49,7 @@ def test_derivatives_of_a_rotor():
 def test_the_time_of_an_impact_is_part_of_the_derivative():
     """A slide hits a stop at L with restitution e and goes back: x = L - e v t + e L after v t = L."""
     v, L, e = 2.0, 0.5, 0.6
-    scene = scene_from_text(filled(text_of("slide_sensitivities_2.yaml"), v=v, l=L, e=e), source="t")
+    scene = scene_from_text(filled(text_of("slide_and_back.yaml"), v=v, l=L, e=e), source="t")
     found = sensitivities(
         scene, ["car.linear_velocity.2", "rail.limits.upper", "rail.limits.restitution"], TIMES, ["rail.position"]
     )
@@ -60,7 +60,7 @@ def test_the_time_of_an_impact_is_part_of_the_derivative():
 
 
 def test_a_run_that_just_meets_a_stop_is_said_to_be_rough():
-    scene = scene_from_text(text_of("slide_sensitivities.yaml"), source="t")
+    scene = scene_from_text(text_of("slide_to_stop.yaml"), source="t")
     assert sensitivities(scene, ["car.linear_velocity.2"], [0.5], ["rail.position"]).rough
 
 
@@ -192,7 +192,7 @@ def test_unknown_numbers_are_refused():
 def test_numbers_of_a_scene_are_found_from_measurements(gaps):
     """Torque and damping of a rotor, from its angle (modulo 2 pi) and rate in closed form."""
     tau, d, inertia = 2.0, 0.7, 0.4
-    text = text_of("rotor_sensitivities.yaml")
+    text = text_of("rotor_with_motor.yaml")
     t = np.linspace(0.2, 3.0, 8)
     e = np.exp(-d * t / inertia)
     measured = np.stack([tau / d * (t - inertia / d * (1 - e)), tau / d * (1 - e)], 1)

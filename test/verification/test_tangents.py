@@ -151,7 +151,7 @@ def test_tangents_of_curved_couplings_and_of_switches():
 
 # A chain with every kind of force, and of coordinate with stops or friction.
 STOPS = "limits: {lower: -0.3, upper: 0.4, stiffness: 300.0, damping: 2.0}, friction: {coulomb: 0.1, viscous: 0.3}"
-EVERY_SWITCH = filled(text_of("s_tangents.yaml"), stops=STOPS)
+EVERY_SWITCH = filled(text_of("every_switch.yaml"), stops=STOPS)
 
 
 def combined(switches, rng, count):

@@ -339,7 +339,7 @@ def test_friction_holds_what_it_does_not_hold_without_the_inputs():
 
 def test_a_stop_holds_in_one_direction():
     """A horizontal rod on its stop rests until an effort lifts its weight."""
-    text = text_of("stop_trim.yaml")
+    text = filled(text_of("rod_on_stop.yaml"), upper=0)
     result = trim(paused(scene_from_text(text, source="test")), inputs=["hinge.effort"])
     assert result.inputs["hinge.effort"] == pytest.approx(0.0, abs=1e-12)
     least, most = result.intervals["hinge.effort"]
