@@ -93,7 +93,7 @@ def test_a_signal_ends_the_node_and_completes_its_file(client, scene, tmp_path):
         }
     assert offered[f"{name}/cube/pose"]["reliability"] == "best_effort"
     assert offered[f"{name}/puck/pose"]["depth"] == 25
-    assert recording.pacing["real_time_factor_wanted"] == 0.0 < recording.pacing["real_time_factor"]
+    assert recording.settings["parameters"]["real_time_factor"] == 0.0 < recording.pacing["real_time_factor"]
 
 
 @pytest.mark.skipif(not compiled(), reason="nothing is compiled")
