@@ -257,6 +257,7 @@ def test_overflow_stops_with_the_last_valid_state(name):
 
 
 @pytest.mark.parametrize("name", ANYWHERE)
+@pytest.mark.volume(4)
 def test_a_singular_pose_is_solved_or_stops_with_the_last_valid_state(name):
     """Two collinear links between ground points: the middle joint's rows become dependent.
 

@@ -70,6 +70,7 @@ def test_the_page_shows_the_trim_and_the_poles(folder, designed, monkeypatch, ca
     assert max(designed["poles"], key=lambda p: (p.real, p.imag)) == pytest.approx(complex(real, imaginary), abs=7e-3)
 
 
+@pytest.mark.turn(3)
 def test_the_controller_of_the_page_has_the_designed_poles(folder, designed, monkeypatch, capsys, ros_node):
     """In simulated time: an effort acts 2 ms after the state that it follows from, as in the median over DDS."""
     import control

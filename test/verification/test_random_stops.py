@@ -103,7 +103,7 @@ class Excess:
 
 @pytest.mark.parametrize("floating", [False, True])
 @pytest.mark.parametrize("seed", range(10))
-@pytest.mark.volume(3)
+@pytest.mark.volume(2)
 def test_random_mechanisms(seed, floating):
     """Over 2 s (floating: 1 s) no stop is passed by 1e-9, no energy gained, and momentum is kept.
 

@@ -122,7 +122,7 @@ def judged(name, seed, spaces):
 
 
 @pytest.mark.parametrize("name", random_mechanisms.CLASSES)
-@pytest.mark.volume(2)
+@pytest.mark.volume(1)
 def test_accelerations_have_the_digits_that_the_data_determine(name):
     total = count(name, int(os.environ.get("MECHANISMS", 60)))
     wrong, done = [], 0

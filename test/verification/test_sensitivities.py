@@ -116,7 +116,7 @@ def differences(scene, path, times, outputs, h=1e-3):
         ("bicycle", "gravity.2", [0.1, 0.2], "bodies"),
     ],
 )
-@pytest.mark.volume(3)
+@pytest.mark.volume(2)
 def test_the_derivatives_are_those_of_neighbouring_runs(name, number, times, outputs):
     scene = load_scene(name)
     found, expected = sensitivities(scene, [number], times, [outputs]), differences(scene, number, times, [outputs])
@@ -125,7 +125,7 @@ def test_the_derivatives_are_those_of_neighbouring_runs(name, number, times, out
 
 
 @pytest.mark.parametrize("name", ["mass ratios", "loops", "planar loops", "couplings", "driven"])
-@pytest.mark.volume(2)
+@pytest.mark.volume(1)
 def test_the_derivatives_of_random_mechanisms_are_those_of_neighbouring_runs(name):
     scene, _ = random_mechanisms.random_mechanism(name, 5)
     known = parameters(scene_as_written(scene.text, scene.source))
