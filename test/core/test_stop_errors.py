@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 import yaml
+from scene_files import cases
 
 from liegroup_core.engine import Engine
 from liegroup_core.errors import SceneError
@@ -39,63 +40,7 @@ def scene_text(kind, coupling=None, **more):
 
 
 TURNS, SLIDES = {"axis": [1.0, 0.0, 0.0]}, "cylindrical"
-WRONG = [
-    ("cable", {"length": 0.3}, "it starts at 0.5 m, 0.2 m beyond .* or its length$"),
-    ("strut", {"length": 0.9}, "it starts at 0.5 m, 0.4 m beyond .* or its length$"),
-    ("cable", {}, "length is missing: give the largest distance"),
-    ("cable", {"length": 0.0}, "length must be greater than 0, got 0"),
-    ("cable", {"length": math.nan}, "length must be finite, got nan"),
-    ("cable", {"length": 1, "lenght": 1}, "unknown key 'lenght'; did you mean \"length\""),
-    ("cable", {"length": 1, "restitution": 1.5}, "restitution must be at most 1, got 1.5"),
-    ("cable", {"length": 1, "damping": 1.5}, "damping requires a stiffness"),
-    ("cable", {"length": 1, "stiffness": 9, "restitution": 0}, "keep one of them"),
-    ("cable", {"length": 1, "friction": {"coulomb": 1}}, "friction: a cable joint has none"),
-    ("cable", {"length": 1, "limits": {"upper": 1}}, "limits: a cable has its length as its stop; give"),
-    ("cable", {"length": 1, "driven": True}, "a cable joint cannot be driven"),
-    ("spherical", {"limits": {"cone": 0}}, "limits.cone must be greater than 0, got 0"),
-    ("spherical", {"limits": {"cone": 4}}, "limits: cone must be below pi, got 4"),
-    ("spherical", {"limits": {"upper": 1}}, "limits: unknown key 'upper'; choose .* cone"),
-    ("spherical", {"friction": {"coulomb": 1}}, "friction: a spherical joint has none"),
-    (
-        "spherical",
-        {"limits": {"cone": 0.2}, "parent_frame": TURNS},
-        r"it starts at 1.5708 rad, 1.37 rad beyond a stop; .* its limits$",
-    ),
-    (SLIDES, {"limits": {"upper": 1}}, "unknown key 'upper'; choose one of: rotation, translation"),
-    (SLIDES, {"limits": {}}, "limits: give rotation, translation or both"),
-    (SLIDES, {"limits": {"rotation": {"lower": 2, "upper": 1}}}, "limits.rotation: lower must be"),
-    (SLIDES, {"limits": {"translation": {"lower": 2}}}, '"j/translation": it starts at 0 m, 2 m'),
-    (SLIDES, {"friction": {"rotation": {"mu": 0.1}}}, "mu requires the radius of the bearing"),
-    (SLIDES, {"friction": {"translation": {"mu": 1, "radius": 1}}}, "a translation has none"),
-    ("revolute", {"limits": [0, 1]}, "limits must be a mapping with the keys"),
-    ("revolute", {"limits": {"lower": math.nan}}, "limits.lower must be finite, got nan"),
-    ("revolute", {"limits": {"lower": 2, "upper": 1}}, "lower must be below upper, got 2 and 1"),
-    ("revolute", {"limits": {"lower": 1, "upper": 2}}, "it starts at 0 rad, 1 rad beyond a stop"),
-    # Another turn is between these stops, and the pose does not say so.
-    ("revolute", {"limits": {"lower": 0.5}}, "it starts at 0 rad, 0.5 rad beyond a stop"),
-    ("revolute", {"limits": {"upper": -0.5}}, "it starts at 0 rad, 0.5 rad beyond a stop"),
-    ("revolute", {"limits": {"lower": 0.5, "upper": 7}}, "it starts at 0 rad, 0.5 rad beyond"),
-    (SLIDES, {"limits": {"rotation": {"lower": 1}}}, '"j/rotation": it starts at 0 rad, 1 rad'),
-    ("revolute", {"friction": {"coulomb": -1}}, "friction.coulomb must not be negative, got -1"),
-    ("revolute", {"friction": {"coulomb": 2, "static": 1}}, "static must be at least coulomb"),
-    ("revolute", {"friction": {}}, "friction: give coulomb, static, viscous or mu$"),
-    ("revolute", {"friction": {"radius": 0.1}}, "friction: radius requires mu$"),
-    ("revolute", {"friction": {"coulomb": 1, "radius": 0.1}}, "friction: radius requires mu$"),
-    (SLIDES, {"friction": {"rotation": {}}}, "friction.rotation: give coulomb, static, viscous or"),
-    ("revolute", {"friction": {"mu": 0.2}}, "mu requires the radius of the bearing, in m"),
-    ("strut", {"length": 0.4, "limits": {"lower": 1}}, "limits: a strut has its length as its stop"),
-    ("planar", {"limits": {"upper": 1}}, "only .*, screw, cylindrical and spherical joints do$"),
-    ("planar", {"friction": {"coulomb": 1}}, "only .*, prismatic, screw and cylindrical joints do$"),
-    ("planar", {"friction": {"coulomb": 1}}, "friction: a planar joint has none"),
-    ("revolute", {"coupling": {"backlash": {}}}, "gap must be above 0, .* or omitted with viscous alone, got None$"),
-    ("revolute", {"coupling": {"backlash": 0.1}}, "backlash must be a mapping with the keys"),
-    ("revolute", {"coupling": {"backlash": {"gap": 0}}}, "gap must be above 0, or 0 with a stiffness, .* got 0.0$"),
-    (
-        "revolute",
-        {"coupling": {"backlash": {"gap": 0.1}, "offset": 1.0}},
-        'couplings.0. "gears": it starts at -1 rad, 0.95 rad beyond .* its offset and gap$',
-    ),
-]
+WRONG = cases("wrong_stops_are_refused_in_one_line")
 
 
 @pytest.mark.parametrize("kind, more, message", WRONG)

@@ -20,6 +20,7 @@ import pytest
 from convergence import order_by_count
 from golden import END
 from naive import hat
+from scene_files import cases
 from scipy.integrate import solve_ivp
 
 from liegroup_core import Scene, Simulation, SimulationError, load_scene
@@ -171,59 +172,7 @@ PROBLEMS = {
 
 # Steps per second to which the slope is fitted, by method. A Runge-Kutta method without an entry has
 # those of LIKE for its order.
-STEPS = {
-    "heavy top": {
-        "rkmk2": (2048, 4096, 8192),
-        "rkmk3": (512, 1024, 2048, 4096),
-        "rkmk4": (512, 1024, 2048, 4096),
-        "rkmk54": {"se3": (64, 128, 256, 512)},
-        "radau5": (128, 256, 512),
-        "rkmk8": {"so3xr3": (128, 160, 200, 220)},
-        "generalized_alpha": (1024, 2048, 4096),
-        "constrained_rattle": (1024, 2048, 4096),
-        "constrained_rattle4": (256, 512, 1024),
-        "constrained_rattle8": (64, 96, 128),
-    },
-    "Lagrangian top": {
-        "rkmk1": (2**16, 2**17, 2**18),
-        "rkmk2": (4096, 8192, 2**14),
-        "rkmk3": (2048, 4096, 8192, 2**14),
-        "rkmk4": (4096, 8192, 2**14),
-        "rkmk54": (1024, 2048, 4096, 8192),
-        "radau5": (512, 1024, 2048),
-        "rkmk8": (512, 724, 1024),
-        "generalized_alpha": (2048, 4096, 8192),
-        "constrained_rattle": (2048, 4096, 8192),
-        "constrained_rattle4": (1024, 2048, 4096),
-        "constrained_rattle8": (160, 192, 224),
-    },
-    "free body": {
-        "rkmk1": (8, 16, 32, 64),
-        "rkmk2": (8, 16, 32, 64),
-        "rkmk3": (8, 16, 32, 64),
-        "rkmk4": (8, 16, 32, 64),
-        "rkmk54": (6, 8, 12, 16, 24),
-        "radau5": (4, 6, 8, 12),
-        "rkmk8": (1, 1.5, 2, 3, 4),
-        "generalized_alpha": (8, 16, 32, 64),
-        "constrained_rattle": (8, 16, 32, 64),
-        "constrained_rattle4": (4, 8, 16, 32),
-        "constrained_rattle8": (1, 1.2, 1.5, 2),
-    },
-    "double pendulum": {
-        "rkmk1": (1024, 2048, 4096),
-        "rkmk2": (256, 512, 1024),
-        "rkmk3": (64, 128, 256, 512),
-        "rkmk4": (128, 256, 512, 1024),
-        "rkmk54": (256, 360, 512, 724),
-        "radau5": (64, 128, 256),
-        "rkmk8": {"se3": (36, 40, 48, 56), "so3xr3": (48, 56, 64, 80)},
-        "generalized_alpha": (64, 128, 256, 512),
-        "constrained_rattle": (64, 128, 256, 512),
-        "constrained_rattle4": (64, 128, 256, 512),
-        "constrained_rattle8": (48, 56, 64),
-    },
-}
+STEPS = cases("steps_of_orders")
 LIKE = {1: "rkmk1", 2: "rkmk2", 3: "rkmk3", 4: "rkmk4", 5: "rkmk54", 6: "rkmk8", 7: "rkmk8", 8: "rkmk8"}
 
 
