@@ -22,28 +22,7 @@ from liegroup_core.scene.description import Body, Drag, Frame, Joint, ScrewJoint
 
 NORMALS = ("x", "y", "z", "tilted")
 # (parent, child, kind), the parents first; then what closes loops
-TREES = {
-    "hinge": [("world", "a", "revolute")],
-    "slider": [("world", "a", "prismatic")],
-    "plate": [("world", "a", "planar")],
-    "chain": [
-        ("world", "a", "revolute"),
-        ("a", "b", "revolute"),
-        ("b", "c", "prismatic"),
-        ("c", "d", "fixed"),
-        ("a", "e", "planar"),
-        ("e", "f", "revolute"),
-    ],
-    # Without a plate: solved as articulated bodies.
-    "tree": [
-        ("world", "a", "prismatic"),
-        ("a", "b", "revolute"),
-        ("b", "c", "prismatic"),
-        ("c", "d", "fixed"),
-        ("a", "e", "revolute"),
-        ("e", "f", "revolute"),
-    ],
-}
+TREES = cases("planar_trees")
 LOOPS = {
     "chain with a loop": ("chain", [("world", "d", "spherical")]),
     "chain with a sleeve": ("chain", [("f", "d", "cylindrical")]),

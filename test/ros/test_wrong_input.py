@@ -35,41 +35,7 @@ for arguments in json.load(open(sys.argv[1])):
 print(json.dumps(answers))
 """
 
-SCENE = {
-    "name": "rig",
-    "gravity": [0.0, 0.0, -9.81],
-    "bodies": [
-        {
-            "name": "arm",
-            "mass": 1.0,
-            "inertia": [0.1, 0.2, 0.15],
-            "position": [0.5, 0.0, 0.0],
-            "quaternion": [0.0, 0.0, 0.0, 1.0],
-            "angular_velocity": [0.0, 0.0, 1.0],
-        },
-        {"name": "bob", "shape": {"type": "sphere", "radius": 0.1, "mass": 2.0}},
-    ],
-    "joints": [
-        {
-            "name": "pin",
-            "type": "revolute",
-            "parent": "world",
-            "child": "arm",
-            "parent_frame": {"position": [0.0, 0.0, 0.0]},
-        }
-    ],
-    "forces": [
-        {
-            "name": "spring",
-            "type": "spring_damper",
-            "parent": "arm",
-            "child": "bob",
-            "parent_point": [0.1, 0.0, 0.0],
-            "child_point": [0.0, 0.0, 0.0],
-            "stiffness": 10.0,
-        }
-    ],
-}
+SCENE = yaml.safe_load(text_of("rig_wrong_input.yaml"))
 NEEDED = {
     "name",
     "gravity",

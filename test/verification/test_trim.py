@@ -6,7 +6,7 @@ import os
 import numpy as np
 import pytest
 import scipy
-from scene_files import filled, text_of
+from scene_files import cases, filled, text_of
 from slider_crank import FRICTION, kinematics, slider_crank
 
 from liegroup_core import Simulation
@@ -97,22 +97,7 @@ def held(scene, joints):
 
 
 # Bodies from the right foot on: parent, origin at the hinge, axis of the hinge, mass, centre of mass.
-HUMANOID = {
-    "foot": ("world", [0, -0.1, 0], None, 1.0, [0.05, 0, 0]),
-    "shank": ("foot", [0, -0.1, 0.1], [0, 1, 0], 3.0, [0.02, 0, 0.2]),
-    "thigh": ("shank", [0.1, -0.1, 0.48], [0, 1, 0], 6.0, [-0.01, 0, 0.2]),
-    "hip": ("thigh", [0.02, -0.1, 0.88], [0, 1, 0], 0.5, [0, 0.05, 0]),
-    "pelvis": ("hip", [0.02, -0.08, 0.9], [1, 0, 0], 9.0, [0, 0.08, 0.1]),
-    "trunk": ("pelvis", [0.02, 0, 1.1], [0, 0.1, 1], 20.0, [0.03, 0.01, 0.2]),
-    "head": ("trunk", [0.05, 0, 1.6], [0, 1, 0], 4.0, [0.02, 0, 0.1]),
-    "right_arm": ("trunk", [0.05, -0.2, 1.5], [0, 1, 0], 2.5, [0.05, -0.02, -0.15]),
-    "right_hand": ("right_arm", [0.15, -0.22, 1.25], [0, 1, 0], 1.5, [0.15, 0, -0.05]),
-    "left_arm": ("trunk", [0.05, 0.2, 1.5], [1, 0, 0], 2.5, [0.01, 0.1, -0.12]),
-    "left_hand": ("left_arm", [0.05, 0.4, 1.25], [0, 1, 0], 1.5, [0.12, 0, 0.05]),
-    "left_hip": ("pelvis", [0.02, 0.08, 0.9], [1, 0, 0], 0.5, [0, 0.02, 0]),
-    "left_thigh": ("left_hip", [0.02, 0.1, 0.88], [0, 1, 0], 6.0, [0.03, 0, -0.2]),
-    "left_shank": ("left_thigh", [0.12, 0.1, 0.48], [0, 1, 0], 3.0, [-0.02, 0, -0.2]),
-}
+HUMANOID = cases("humanoid")
 ON_BOTH = (
     "  - {name: left_sole, type: spherical, parent: world, child: left_shank, child_frame: {position: [0, 0, -0.4]}}\n"
 )
