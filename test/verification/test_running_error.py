@@ -177,10 +177,10 @@ def test_without_its_companion_the_estimate_is_infinite_to_the_end(arguments, mo
     simulation.advance(200)
     assert 0.0 < simulation.largest_error < 1.0
 
-    def stop(steps):
+    def stop(instant):
         raise SimulationError("stopped")
 
-    monkeypatch.setattr(simulation._running._companion, "advance_to_step", stop)
+    monkeypatch.setattr(simulation._running._companion, "_go", stop)
     for _ in range(3):
         simulation.advance(4000)
         assert simulation.largest_error == math.inf

@@ -124,7 +124,7 @@ def test_a_light_body_that_a_damper_stops_at_once(accuracy, horizon):
     simulation = Simulation(sliders.scene, accuracy=accuracy, horizon=horizon, quiet=True)
     size = simulation.promise["length"]
     for time in (0.01, 0.1, 0.5, 1.0):
-        simulation.advance_to_step(round(time / simulation.step))
+        simulation.advance(round(time / simulation.step) - simulation.steps)
         assert off(sliders, simulation) / size <= accuracy
     assert simulation.substeps[1] < 1000 and simulation.doubt is None
 
@@ -162,7 +162,7 @@ def test_chains_in_space_against_the_reference(in_space, group):
     simulation = Simulation(scene, accuracy=1e-5, horizon=1.0, group=group, stabilisation="none")
     size, used = simulation.promise["length"], set()
     for k, time in enumerate(times):
-        simulation.advance_to_step(round(time / simulation.step))
+        simulation.advance(round(time / simulation.step) - simulation.steps)
         used.add(simulation.method)
         found = distance_at(simulation.sample(), exact, k)
         error = max(found.position.max() / size, found.angle.max())
