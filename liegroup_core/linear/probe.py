@@ -192,6 +192,7 @@ class Probe:
         self._take_inputs()
         self.pose, self.twist = (array.copy() for array in sample._state)
         self._work.angle[:] = sample.angles
+        self._states = sample.angles[len(sample.angles) - len(self._model.law_links) :]
         self._work.known[0] = 0.0
 
     def _take_inputs(self, instant=None):
