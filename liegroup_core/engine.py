@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from liegroup_core.compiling import warm_up
+from liegroup_core.control import Controls
 from liegroup_core.errors import SimulationError
 from liegroup_core.fields.arguments import finite, floats, got, is_count, is_finite
 from liegroup_core.forces.instants import AFTER, LATEST, NEVER, NOT_AHEAD, StepGrid
@@ -146,6 +147,7 @@ class Engine:
         arrays = self._work.targets, self._work.motions
         self.inputs = Inputs(self.layout, self._grid, *arrays, self, self._warnings.late)
         self.events = JointEvents(self.layout, self._switching)
+        self._controls = Controls(self._grid)
         self._start = initial_state(self.layout.centred)
         self._block, self._halted = FIRST_BLOCK, False
         warm_up(self._touch)
@@ -234,6 +236,7 @@ class Engine:
         self._pose, self._twist = pose, twist
         self.base = self.now = instant
         self._here, self._served = None, -1
+        self._controls.forget()
         self.inputs.clear(instant)
         self._integrator.restart()
 
@@ -334,6 +337,7 @@ class Engine:
     def restore(self, state: State) -> None:
         """Return to a snapshot. The continuation is bit-identical."""
         set_kept(self, state.parts)
+        self._controls.forget()
 
     def settle(self):
         """Integrate as far as the present state needs, whether it was asked for or not: so equal states are equal."""
@@ -458,7 +462,23 @@ class Engine:
             self._catch_up()
             if instant == self.base:
                 self.inputs.update(instant)
+        while self._controls and self.now < instant:
+            stop = min(self._controls.call(self), instant)
+            self._go(stop, enough)
+            if self.now < stop or stop < instant and enough is not None and enough():
+                return
         self._go(instant, enough)
+
+    def control(self, function: Callable[[Any], Any], period: float) -> None:
+        """Call a function of this simulation at all multiples of a period in s, from the present time on.
+
+        It is called when the run goes on from this time, which is exact, with the state of this time. It reads `sample`
+        and gives commands, such as `apply_effort` or `command_servo`, which act from this time on until the next ones.
+        They are logged, recorded and repeated as all commands are: a replay needs no controller. Controllers are called
+        in the order in which they were added; what they remember is no part of a snapshot, and `sample` of a later time
+        does not call them. Raises ValueError.
+        """
+        self._controls.add(function, period)
 
     def _instant(self, time):
         """Instant of a time in s that is not before the present one. Raises ValueError."""

@@ -261,6 +261,7 @@ class Simulation(Engine):
         parts = decoded({name: data[name] for name in like if name in data}, like, "the snapshot")
         if not 0 <= parts["steps"] < NEVER:
             raise ValueError(f"the snapshot must have a number of steps from 0 to {NEVER - 1}, {got(parts['steps'])}")
+        self._controls.forget()
         try:
             set_kept(self, parts)
         except ValueError:  # a command to an unknown body or joint

@@ -18,6 +18,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from liegroup_core import Simulation, SimulationError
+from liegroup_core.control import read_setup, set_up
 from liegroup_core.errors import LieGroupSimError
 from liegroup_core.forces.instants import LATEST
 from liegroup_core.observables.quantities import GROUPS
@@ -93,6 +94,7 @@ def add_arguments(parser):
         help=f"what a table or arrays have beside the time: {', '.join(GROUPS)}, or single ones, such as BODY.x, "
         "JOINT.position, FORCE.effort, SENSOR.0 (default: states, joints, energy, constraint_residual, errors)",
     )
+    add_control(parser)
     parser.add_argument(
         "--torques",
         metavar="FILE",
@@ -100,6 +102,15 @@ def add_arguments(parser):
     )
     add_settings(parser)
     add_robot_options(parser)
+
+
+def add_control(parser):
+    """Argument for controllers."""
+    parser.add_argument(
+        "--control",
+        metavar="FILE.py:NAME",
+        help="function that is called with each simulation at its start and adds controllers, see Simulation.control",
+    )
 
 
 def given_settings(args):
@@ -153,6 +164,8 @@ def _run(args):
     try:
         with console.status("starting (the first run of a kind of mechanism compiles for about 20 s)"):
             simulation = Simulation(scene, **settings, estimate=args.estimate)
+            if args.control:
+                set_up(simulation, *read_setup(args.control))
     except ValueError as error:  # includes SceneError
         raise RunError(str(error)) from None
     if args.reactions or args.torques or args.columns:

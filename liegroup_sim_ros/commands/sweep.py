@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from liegroup_core import load_scene
+from liegroup_core.control import read_setup
 from liegroup_core.scene.consistency import AT_POSES, AT_VELOCITIES
 from liegroup_core.scene.load import scene_as_written
 from liegroup_core.scene.parameters import ParameterError, parameters
@@ -24,7 +25,7 @@ from liegroup_sim_ros.report.sweep_tables import print_sweep
 from liegroup_sim_ros.version import __version__
 
 from .arguments import add_parallel
-from .run import RunError, divides, given_settings, whole_steps
+from .run import RunError, add_control, divides, given_settings, whole_steps
 from .setting_options import add_settings
 
 EXIT_ALL_FAILED, EXIT_INTERRUPTED = 1, 130
@@ -92,6 +93,7 @@ def add_arguments(parser):
         help="add the derivatives of outputs at the end by all varied numbers: "
         "names as of `liegroup_sim run --columns`",
     )
+    add_control(parser)
     add_parallel(parser)
     parser.add_argument(
         "--show",
@@ -166,6 +168,7 @@ def _sweep_of(scene, args):
             reactions=args.reactions,
             record=args.record,
             gradient=args.gradient,
+            control=read_setup(args.control) if args.control else (),
         )
     except (ParameterError, RunError):
         raise

@@ -10,6 +10,7 @@ Run k depends only on the sweep and on k, not on other runs, workers or scheduli
 start or stops early gives a row with the reason as its status.
 """
 
+import hashlib
 import itertools
 import math
 import time
@@ -21,6 +22,7 @@ import numpy as np
 from scipy.stats.qmc import LatinHypercube
 
 from liegroup_core.compiling import source_digest
+from liegroup_core.control import ControlError, set_up
 from liegroup_core.errors import LieGroupSimError
 from liegroup_core.joint_events import has_impacts
 from liegroup_core.layout import make_layout
@@ -67,6 +69,8 @@ class Sweep:
     record   : names of columns of the Catalogue, or groups, that are saved beside the states
     gradient : names of outputs, as of linear.sensitivities, whose derivatives at the end are columns
     settings : ((name, value), ...), arguments of Simulation, including the step
+    control  : () or (source, name) of a function that adds controllers to each simulation, see control.read_setup;
+               source None: of a sweep that was read from a file, which cannot run
     sources  : digest of the sources, which must be the same on a worker
     """
 
@@ -83,6 +87,7 @@ class Sweep:
     record: tuple
     gradient: tuple
     settings: tuple
+    control: tuple
     sources: str
 
     @classmethod
@@ -99,6 +104,7 @@ class Sweep:
         reactions=False,
         record=(),
         gradient=(),
+        control=(),
     ):
         """Sweep of a Scene with ranges as texts, see parameters.range_of; other arguments as above.
 
@@ -130,6 +136,10 @@ class Sweep:
         # This compiles the kernels and checks the configuration.
         simulation = Simulation(scene, **(settings or {}))
         settings = simulation.arguments
+        if control:
+            if gradient:
+                raise ParameterError("derivatives do not know controllers: give --gradient or --control, not both")
+            set_up(simulation, *control)  # raises ControlError
         if reactions or record:
             simulation.layout.reactions.warm_up()
         if gradient:
@@ -149,6 +159,7 @@ class Sweep:
             tuple(record),
             tuple(gradient),
             tuple(sorted(settings.items())),
+            tuple(control),
             source_digest(),
         )
 
@@ -196,7 +207,16 @@ class Sweep:
 
     def simulation(self, k):
         """Simulation of run k in its initial state. Raises the errors of Simulation."""
-        return Simulation(self.scene(k), **dict(self.settings))
+        return self._controlled(self.scene(k))
+
+    def _controlled(self, scene):
+        simulation = Simulation(scene, **dict(self.settings))
+        if self.control:
+            source, name = self.control
+            if source is None:
+                raise ControlError(f"a file of a sweep has no code: set `control` to read_setup('FILE.py:{name}')")
+            set_up(simulation, source, name)
+        return simulation
 
     @property
     def columns(self):
@@ -353,7 +373,7 @@ def _run(sweep, values):
         try:
             scene = sweep._scene_at(values)
             said += filter(None, [sweep._unlike(values, scene)])
-            simulation = Simulation(scene, **dict(sweep.settings))
+            simulation = sweep._controlled(scene)
             hits = sweep.reactions and has_impacts(scene)
             if hits:
                 impulses.append(np.zeros((len(scene.joints), 6)))
@@ -435,6 +455,8 @@ def describe(sweep):
         "record": list(sweep.record),
         "gradient": list(sweep.gradient),
         "settings": dict(sweep.settings),
+        # Files are not trusted, so no code is read from them.
+        "control": sweep.control and [hashlib.sha256(str(sweep.control[0]).encode()).hexdigest(), sweep.control[1]],
         "sources": sweep.sources,
     }
 
@@ -456,5 +478,6 @@ def described(entries):
         tuple(entries.get("record", ())),
         tuple(entries.get("gradient", ())),
         tuple(sorted(entries["settings"].items())),
+        (None, entries["control"][1]) if entries.get("control") else (),
         entries["sources"],
     )
