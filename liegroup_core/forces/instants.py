@@ -48,7 +48,7 @@ def _rounding(time):
     return ROUNDING * abs(time) * NS if isinstance(time, float) else 0
 
 
-def _whole(numerator, denominator):
+def nearest_whole(numerator, denominator):
     """Whole number nearest to a ratio; of two equally near ones the even one, as `round`."""
     whole, rest = divmod(2 * numerator + denominator, 2 * denominator)
     return whole - whole % 2 if rest == 0 else whole
@@ -117,7 +117,7 @@ class StepGrid:
 
     def time_ns(self, instant):
         """Time in whole ns."""
-        return _whole(instant.step * self._size + instant.offset, self._parts)
+        return nearest_whole(instant.step * self._size + instant.offset, self._parts)
 
     def mark(self, instant):
         """Time of an Instant in ns, from which `marked` finds it in any grid: whole, if it is at a whole ns."""
@@ -169,7 +169,7 @@ class StepGrid:
 
     def _nearest(self, numerator, denominator, rounding):
         """Instant of a time, a ratio in ns, with a rounding error of `rounding` ns."""
-        whole = _whole(numerator, denominator)
+        whole = nearest_whole(numerator, denominator)
         for *ratio, slack in ((numerator, denominator, rounding), (whole, 1, 0.5)):
             step, miss = self._nearest_boundary(*ratio)
             if miss <= slack:

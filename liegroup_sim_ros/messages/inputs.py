@@ -18,12 +18,13 @@ from .description import TYPE
 from .description import encoded as string_message
 
 __all__ = ["TYPE", "decode", "encode"]
+_as_text = json.JSONEncoder(separators=(",", ":")).encode
 
 
 def encode(base_ns, commands, everything=False):
     """Serialized message of Commands."""
     entries = {"base_ns": base_ns, "all": everything, "commands": encoded(list(commands))}
-    return string_message(json.dumps(entries, separators=(",", ":")))
+    return string_message(_as_text(entries))
 
 
 def decode(payload):

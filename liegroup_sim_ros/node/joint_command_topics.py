@@ -2,6 +2,7 @@
 """Subscriptions to the commands for joints and drives: they are decoded and passed to the simulation."""
 
 from concurrent.futures import wait
+from functools import partial
 
 from geometry_msgs.msg import TwistStamped
 from rclpy.serialization import deserialize_message
@@ -36,22 +37,22 @@ class JointCommandTopics(InputTopics):
     """
 
     def __init__(self, node, layout, values, server, qos):
-        super().__init__(node, qos)
-        self._values, self._server = values, server
+        super().__init__(node, qos, server)
+        self._values = values
         self.input = JointCommandInput(layout, values.motion_time, server)
         self.trajectories = TrajectoryInput(layout, server)
         self._names = tuple(name.strip() for name in values.command_joints.split(",") if name.strip())
         self._check_names()
         if self.input.joints:
-            self._subscribe("~/joint_commands", JointState, self._read, COMMANDS)
+            self._subscribe("joint_commands", JointState, self._read, COMMANDS, divides=True)
         if self._names:
-            self._subscribe("~/commands", Float64MultiArray, self._read_array, COMMANDS)
+            self._subscribe("commands", Float64MultiArray, self._read_array, COMMANDS, is_stamped=False)
         if self.input.follows:
             # A trajectory replaces the previous one, so a long queue of large messages is useless.
-            self._subscribe("~/joint_trajectory", JointTrajectory, self._read_trajectory, 10)
+            self._subscribe("joint_trajectory", JointTrajectory, self._read_trajectory, 10)
         self._wheels = layout.wheels
         if self._wheels is not None:
-            self._subscribe("~/cmd_vel", TwistStamped, self._read_velocity, 10)
+            self._subscribe("cmd_vel", TwistStamped, self._read_velocity, 10)
 
     def _check_names(self):
         for name in self._names:
@@ -91,35 +92,39 @@ class JointCommandTopics(InputTopics):
             wait([self._server.call("watch", True)], BUSY)
         return Jumps(values.command_jump, self._server.positions or {}, values.trajectory_period)
 
-    def _read(self, payload):
-        server = self._server
-        commands = self.input.read(
-            payload, server.stamp_ns, server.inputs_held, self._lasting, self._values.command_stamps, self._jumps
-        )
-        server.push(commands, self._lasting, self._refuse_command)
+    def _now_ns(self, asked):
+        return asked.stamp_ns if asked else self._server.stamp_ns
 
-    def _read_array(self, payload):
-        commands = self.input.read_array(
-            payload, self._names, self._values.command_interface, self._server.inputs_held, self._jumps
-        )
-        self._server.push(commands, self._lasting, self._refuse_command)
+    def _push(self, commands, lasting):
+        return partial(self._server.push, commands, lasting, self._refuse_command)
 
-    def _read_velocity(self, payload):
-        message, server = deserialize_message(payload, TwistStamped), self._server
+    def _read(self, payload, topic, asked):
+        lasting = asked.hold if asked else self._lasting
+        held, stamped = self._server.inputs_held, self._values.command_stamps
+        found = self.input.read(payload, self._now_ns(asked), held, lasting, stamped, self._jumps, topic)
+        return self._push(found, lasting)
+
+    def _read_array(self, payload, *_):
+        held, kind = self._server.inputs_held, self._values.command_interface
+        return self._push(self.input.read_array(payload, self._names, kind, held, self._jumps), self._lasting)
+
+    def _read_velocity(self, payload, _, asked):
+        message = deserialize_message(payload, TwistStamped)
         stamp, twist = message.header.stamp, message.twist
-        lasting = self._lasting or DRIVING
+        lasting = asked.hold if asked else self._lasting or DRIVING
         commands = self.input.read_rates(
             self._wheels.at(twist.linear.x, twist.angular.z),
             stamp.sec * 10**9 + stamp.nanosec if self._values.command_stamps else 0,
-            server.stamp_ns,
-            server.inputs_held,
+            self._now_ns(asked),
+            self._server.inputs_held,
             lasting,
         )
-        server.push(commands, lasting, self._refuse_command)
+        return self._push(commands, lasting)
 
-    def _read_trajectory(self, payload):
-        trajectory = self.trajectories.read(payload, self._server.stamp_ns, self._values.command_stamps, self._jumps)
-        self._server.follow(trajectory, self._refuse_trajectory)
+    def _read_trajectory(self, payload, _, asked):
+        stamped = self._values.command_stamps
+        trajectory = self.trajectories.read(payload, self._now_ns(asked), stamped, self._jumps, asked is not None)
+        return partial(self._server.follow, trajectory, self._refuse_trajectory) if trajectory else lambda: None
 
     def figures(self):
         """Figures of the topics for the diagnostics; none without the topics."""

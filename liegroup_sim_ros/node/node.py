@@ -26,7 +26,7 @@ from liegroup_sim_ros.recording.write import RecorderError
 
 from . import own_services, standard_services
 from .answers import AnsweringNode
-from .parameters import RATES, NodeParameterError, read_parameters, watch_parameters
+from .parameters import RATES, NodeParameterError, answering, read_parameters, watch_parameters
 from .scene_run import ATTENTION, Interrupted, SceneRun, begin_simulation, make_simulation, served_folders
 from .standard_codes import FAILED, Refused
 
@@ -179,6 +179,8 @@ class SimNode(AnsweringNode):
             raise NodeParameterError("parameter accuracy: this run has a method, not an accuracy")
         if name in RATES and value:
             run.outputs.prepare(name)
+        if name == "lockstep":
+            run.check_lockstep(answering(value))
 
     def _set_parameter(self, name, value):
         setattr(self._values, name, value)
@@ -186,6 +188,10 @@ class SimNode(AnsweringNode):
         if name in RATES:
             self._values.rates[name] = value
             call("plan_outputs")
+        elif name == "lockstep":
+            call("lockstep", answering(value))
+        elif name == "lockstep_timeout":
+            self.scene_run.server.lockstep.timeout = value
         elif name == "accuracy":
             call("accuracy", value)
         elif name == "real_time_factor":

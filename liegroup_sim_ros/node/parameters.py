@@ -7,6 +7,7 @@ what is wrong and what to do. An integer is accepted for a floating-point parame
 
 import difflib
 import logging
+import re
 from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
@@ -21,6 +22,7 @@ from liegroup_core.settings import SETTINGS, Setting
 from liegroup_core.simulation import default_steps
 from liegroup_sim_ros.messages.samples import OPTIONAL, TF_LINKS
 from liegroup_sim_ros.messages.topics import MOST_OWN, own_by_default
+from liegroup_sim_ros.serving import lockstep
 from liegroup_sim_ros.serving.joint_command_input import INTERFACES
 from liegroup_sim_ros.serving.outputs import NodeParameterError
 
@@ -105,6 +107,22 @@ TABLE = (
     ),
     _live("real_time_factor", 1.0, "simulated seconds per second; 0: as fast as possible", "", 0.0, 1e6),
     Entry("start_paused", False, "start paused, until ~/resume or ~/step is called"),
+    _live(
+        "lockstep",
+        "",
+        "inputs that must answer every state, with its time stamp, before the simulation goes on, and their rates in "
+        "Hz: joint_commands@1000, wrench/left@100; the periods are multiples of the step. Without values of their own "
+        "publish_rate, joint_state_rate and clock_rate have the highest of these rates",
+        means="none",
+    ),
+    _live(
+        "lockstep_timeout",
+        5.0,
+        "wall time after which a missing answer pauses the simulation, once its controller has answered; 0: never",
+        "s",
+        0.0,
+        1e6,
+    ),
     _live("step_count", 1, "number of steps per call of ~/step", "", 1, 1000000),
     Entry("continue_from", "", "recording (*.mcap) to continue, with its scene, method and step", means="none"),
     Entry("continue_at", 0.0, "time stamp in the recording continue_from at which to continue", "s", 0.0, 1e9),
@@ -202,6 +220,7 @@ TABLE = (
     Entry("motion_time", 0.02, "simulated time in which a driven joint reaches a command", "s", 1e-5, 1e3),
 )
 _ENTRIES = {entry.name: entry for entry in TABLE}
+FOLLOWING = ("publish_rate", "joint_state_rate", "clock_rate")  # at least the rates of the lockstep, by default
 RATES = tuple(entry.name for entry in TABLE if entry.is_topic_rate)
 log = logging.getLogger("liegroup_core")
 # Declared by rclpy itself. This node publishes simulated time, so it cannot subscribe to it: use_sim_time
@@ -236,8 +255,10 @@ def read_parameters(node):
             hint = f"did you mean {near[0]}?" if near else f"choose one of: {', '.join(_ENTRIES)}"
             raise NodeParameterError(f"parameter {name}: unknown; {hint}")
     values = SimpleNamespace()
+    fastest = max(answering(check("lockstep", overrides.get("lockstep", ""))).values(), default=0.0)
     for entry in TABLE:
-        value = check(entry.name, overrides.get(entry.name, entry.usual))
+        usual = max(entry.usual, fastest) if entry.name in FOLLOWING else entry.usual
+        value = check(entry.name, overrides.get(entry.name, usual))
         node.declare_parameter(entry.name, value, _descriptor(entry), ignore_override=True)
         setattr(values, entry.name, value)
     if values.continue_from:
@@ -251,7 +272,7 @@ def read_parameters(node):
         for name in ACCURACY:  # defaults are accepted: a dump of all parameters contains them
             if getattr(values, name) != _ENTRIES[name].default:
                 raise NodeParameterError(f"parameter {name}: cannot be combined with method; remove one of them")
-        values.step = values.step or SETTINGS["step"].default
+        values.step = values.step or _dividing(values, SETTINGS["step"].default)
     elif not (values.estimate or values.continue_from):
         raise NodeParameterError("parameter estimate: must be true with an accuracy; or choose a method")
     values.rates = {name: getattr(values, name) for name in RATES}
@@ -285,7 +306,32 @@ def fitting_step(values):
     A state after a command within a step takes parts of that step: it should not have many.
     """
     most = max(values.rates.values())
-    return next(step for step in default_steps(values.accuracy_horizon) if step * most <= 1.0 + 1e-9)
+    longest = next(step for step in default_steps(values.accuracy_horizon) if step * most <= 1.0 + 1e-9)
+    return _dividing(values, longest)
+
+
+def _dividing(values, longest):
+    """Step in s, at most `longest`, that divides the periods of the lockstep."""
+    rates = answering(values.lockstep).values()
+    return lockstep.fitting_step(rates, longest) if rates else longest
+
+
+def answering(text):
+    """{topic: rate in Hz} of the parameter lockstep. Raises NodeParameterError."""
+    found = {}
+    for part in text.replace(",", " ").split():
+        topic, _, rate = part.removeprefix("~/").partition("@")
+        try:
+            hz = float(rate)
+        except ValueError:
+            hz = 0.0
+        if not re.fullmatch(r"[A-Za-z]\w*(/[A-Za-z]\w*)*", topic) or topic in found or not 1e-3 <= hz <= 1e5:
+            raise NodeParameterError(
+                f"parameter lockstep: must have each topic once, as TOPIC@RATE with a rate from 0.001 to 1e5 Hz, got "
+                f"{part!r:.{LONGEST_SHOWN}}"
+            )
+        found[topic] = hz
+    return found
 
 
 def watch_parameters(node, prepare, changed):

@@ -16,13 +16,14 @@ from liegroup_sim_ros.recording import RecordingError, attachments
 from liegroup_sim_ros.recording.checkpoints import Checkpoints
 from liegroup_sim_ros.recording.read import read_recording
 from liegroup_sim_ros.recording.write import Recorder
+from liegroup_sim_ros.serving import lockstep
 from liegroup_sim_ros.serving.outputs import Outputs
 from liegroup_sim_ros.serving.simulation_thread import SimulationServer
 
 from . import standard_services
 from .answers import begin
 from .joint_command_topics import JointCommandTopics
-from .parameters import AUTO, NodeParameterError, bodies_of, fitting_step
+from .parameters import AUTO, NodeParameterError, answering, bodies_of, fitting_step
 from .qos import QosOverrides
 from .streams import NodeStreams
 from .wrench_topics import WrenchTopics
@@ -86,21 +87,25 @@ class SceneRun:
         if path:
             self.outputs.at_steps.append(self._add_checkpoint)
             self.outputs.attending.append(self._tell_failure)
-        base_ns = start_ns - simulation.time_ns
+        rates = answering(values.lockstep)
+        start_ns = lockstep.aligned(rates.values(), start_ns, simulation.time_ns)
         self.server = SimulationServer(
             simulation,
             self.outputs,
             values.real_time_factor,
             paused,
-            base_ns,
+            start_ns - simulation.time_ns,
             origin,
             values.trajectory_period,
             values.motion_time,
             values.command_jump > 0.0,
+            rates,
+            values.lockstep_timeout,
         )
         self.wrenches = WrenchTopics(node, layout, own, values, simulation.step, self.server, qos)
         try:
             self.commands = JointCommandTopics(node, layout, values, self.server, qos)
+            self.check_lockstep(rates)
         except NodeParameterError:
             self._close_topics()
             raise
@@ -123,6 +128,25 @@ class SceneRun:
             except Exception:
                 self._close_topics()
                 raise
+
+    def check_lockstep(self, rates):
+        """Create missing topics that must answer. Raises NodeParameterError for those that cannot."""
+        step, offers = self.simulation.step, (self.wrenches, self.commands)
+        for topic in rates:
+            if not any(topics.offer(topic) for topics in offers):
+                known = ", ".join(name for topics in offers for name in topics.stamped)
+                raise NodeParameterError(
+                    f"parameter lockstep: ~/{topic} is no input with time stamps: choose from {known}; "
+                    "joint_commands and wrench also as joint_commands/NAME"
+                )
+        if topic := lockstep.unfitting(rates, step):
+            raise NodeParameterError(
+                f"parameter lockstep: the period of {topic}, {1.0 / rates[topic]:.9g} s, must be a multiple of the "
+                f"step, {step:.9g} s: choose another rate or step"
+            )
+        start_ns = self.server.stamp_ns - self.simulation.time_ns
+        if lockstep.aligned(rates.values(), start_ns, 0) != start_ns:
+            raise NodeParameterError("parameter lockstep: a state was set since the start: start the node with it")
 
     def start(self):
         """Start the simulation thread and log the configuration."""

@@ -202,10 +202,13 @@ class SimulateSteps:
         feedback = self._kind.Feedback()
         try:
             while done < count and not goal.is_cancel_requested:
-                _, reached = await self._ask("advance", 1)
+                taken, reached = await self._ask("advance", 1, PART)  # in lockstep it may wait for answers
                 if not reached:
                     reason = "the simulation has stopped with an error: see ~/events"
                     break
+                if not taken:
+                    await Turn()
+                    continue
                 done += 1
                 feedback.completed_steps, feedback.remaining_steps = done, count - done
                 goal.publish_feedback(feedback)

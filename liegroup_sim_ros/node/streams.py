@@ -51,6 +51,10 @@ class NodeStream(Stream):
         self._handle.__enter__()
         self.publish = self._handle.publish_raw
 
+    def listeners(self):
+        """Number of subscribers."""
+        return self._publisher.get_subscription_count()
+
     def wait(self, seconds):
         """Wait until all reliable subscribers have all messages, at most for `seconds`."""
         with contextlib.suppress(RuntimeError):  # not supported by some middlewares

@@ -29,30 +29,32 @@ class WrenchTopics(InputTopics):
     """
 
     def __init__(self, node, layout, own, values, step, server, qos):
-        super().__init__(node, qos)
-        self._values, self._step, self._server = values, step, server
+        super().__init__(node, qos, server)
+        self._values, self._step = values, step
         links = link_of_body(layout.scene)
         merged = merged_links(layout.scene)
         masses = {body.name: body.mass for body in layout.scene.bodies}
         names, frames = layout.body_names, (values.world_frame, values.frame_prefix)
         self.input = WrenchInput(names, *frames, links, merged, masses)
-        of_all = [("~/wrench", "wrench", None), ("~/wrench/persistent", "persistent", None)]
-        for topic, kind, body in (*of_all, *((f"~/{body}/wrench", "body", body) for body in own)):
-            self._subscribe(topic, WrenchStamped, partial(self._receive, kind=kind, body=body), DEPTH)
+        of_all = [("wrench/persistent", "persistent", None), ("wrench", None, None)]
+        for topic, kind, body in (*of_all, *((f"{body}/wrench", "body", body) for body in own)):
+            read = partial(self._read, kind=kind, body=body)
+            self._subscribe(topic, WrenchStamped, read, DEPTH, divides=kind is None)
         self._subscriptions.append(node.create_subscription(String, "~/wrench/clear", self._clear, DEPTH))
-        self._subscribe("~/pull", PointStamped, self._pull, DEPTH)
+        self._subscribe("pull", PointStamped, self._pull, DEPTH)
 
-    def _receive(self, payload, kind, body):
-        wrench = self.input.read(payload, kind, body, self._server.stamp_ns, self._server.inputs_held)
-        values = self._values
-        hold = "until_replaced" if kind == "persistent" else values.wrench_hold
-        self._server.push(
-            [wrench], {"one_step": self._step, "timeout": values.wrench_timeout, "until_replaced": None}[hold]
-        )
+    def _read(self, payload, topic, asked, kind, body):
+        server, values = self._server, self._values
+        now_ns = asked.stamp_ns if asked else server.stamp_ns
+        wrench = self.input.read(payload, kind or topic, body, now_ns, server.inputs_held)
+        hold = "until_replaced" if kind == "persistent" else "period" if asked else values.wrench_hold
+        seconds = {"one_step": self._step, "timeout": values.wrench_timeout, "period": asked and asked.hold}.get(hold)
+        return partial(server.push, [wrench], seconds)
 
-    def _pull(self, payload):
-        pull = self.input.read_pull(payload, self._server.stamp_ns, self._server.inputs_held)
-        self._server.push([pull], self._values.wrench_timeout)
+    def _pull(self, payload, _, asked):
+        server, seconds = self._server, asked.hold if asked else self._values.wrench_timeout
+        now_ns = asked.stamp_ns if asked else server.stamp_ns
+        return partial(server.push, [self.input.read_pull(payload, now_ns, server.inputs_held)], seconds)
 
     def _clear(self, message):
         body, name = self.input.body_and_name(message.data)

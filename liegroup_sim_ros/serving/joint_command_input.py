@@ -62,7 +62,7 @@ class JointCommandInput(JointInput):
         fields = [numbers if kind == interface else () for kind in INTERFACES]
         return self._commands(names, fields, 0, 0, held, None, jumps)
 
-    def read(self, payload, now_ns, held, lasting, stamped=True, jumps=None):
+    def read(self, payload, now_ns, held, lasting, stamped=True, jumps=None, source=SOURCE):
         """[Command] of a serialized JointState. Raises Refusal.
 
         now_ns  : current stamp
@@ -70,10 +70,11 @@ class JointCommandInput(JointInput):
         lasting : s, duration of a command; None: until the next one
         stamped : False: time stamps are ignored
         jumps   : Jumps, or None for no limit
+        source  : of its efforts; those of different sources add
         """
         stamp_ns, names, *fields = self.decoded(self._decoder.decode, payload)
         stamp_ns = stamp_ns if stamped else 0
-        return self._commands(names, fields, stamp_ns, now_ns, held, lasting, jumps)
+        return self._commands(names, fields, stamp_ns, now_ns, held, lasting, jumps, source)
 
     def read_rates(self, rates, stamp_ns, now_ns, held, lasting):
         """Same as `read`, for wanted rates {joint of the scene: rad/s or m/s}; servos keep their target positions."""
@@ -85,7 +86,7 @@ class JointCommandInput(JointInput):
         fields = [(), list(rates.values()), ()]
         return self._commands(names, fields, stamp_ns, now_ns, held, lasting, None)
 
-    def _commands(self, names, fields, stamp_ns, now_ns, held, lasting, jumps):
+    def _commands(self, names, fields, stamp_ns, now_ns, held, lasting, jumps, source=SOURCE):
         if names != self._checked:
             self.check_names(names)
         for kind, values in zip(INTERFACES, fields):
@@ -123,7 +124,7 @@ class JointCommandInput(JointInput):
         self.refuse_too_many(held, f"{target:.{LONGEST_NAME}}")
         start_ns = stamp_ns if stamp_ns > now_ns else None
         found = [
-            Command(EFFORT, self.joints[name], (value,), start_ns, None, SOURCE)
+            Command(EFFORT, self.joints[name], (value,), start_ns, None, source)
             for name, value in zip(names, effort)
             if not math.isnan(value)
         ] + [self._target(name, position, _or_zero(velocity), start_ns) for name, position, velocity in wanted]

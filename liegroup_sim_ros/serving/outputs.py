@@ -55,6 +55,7 @@ class Stream:
     def __init__(self, topic, message_type, qos="reliable", depth=10):
         self.topic, self._type, self._qos, self.depth = topic, message_type, qos, depth
         self._write = self._channel = None
+        self.is_recorded = True
 
     def record_to(self, recorder):
         """Record all messages that are sent from now on."""
@@ -75,8 +76,12 @@ class Stream:
 
     def record(self, stamp_ns, data):
         """Record a serialized message, without publishing it."""
-        if self._write is not None:
+        if self._write is not None and self.is_recorded:
             self._write(self._channel, stamp_ns, data)
+
+    def listeners(self):
+        """Number of subscribers."""
+        return 0
 
     def wait(self, seconds):
         """Wait until all reliable subscribers have all messages, at most for `seconds`."""
@@ -216,9 +221,22 @@ class Outputs:
         rates = self._values.rates
         calls = [(name, send) for name, senders in self._senders.items() for send in senders]
         calls += [("publish_rate", each) for each in self.after]
-        clock = [Output(rates["clock_rate"], self._send_clock, False, False)]
+        clock = [Output(rates["clock_rate"], self._send_clock, False, False)]  # after all that has its time
         states = [Output(rates[name], send, answers=name not in FOR_VIEWERS) for name, send in calls]
-        return [output for output in (*clock, *states) if output.rate]
+        return [output for output in (*states, *clock) if output.rate]
+
+    def listeners(self):
+        """Number of subscribers of each topic."""
+        return [stream.listeners() for stream in self._streams]
+
+    def publish_again(self, outputs, stamp_ns, sample):
+        """Publish again what some Outputs have sent with a stamp, and do not record it again."""
+        for stream in self._streams:
+            stream.is_recorded = False
+        for output in outputs:
+            output.send(stamp_ns, sample)
+        for stream in self._streams:
+            stream.is_recorded = True
 
     @property
     def state_rate(self):
@@ -406,8 +424,12 @@ class Outputs:
         self._diagnostics.send(stamp_ns, self._encoded(stamp_ns, figures))
         for attend in self.attending:
             attend(stamp_ns)
-        if figures["state"] != "running" and self._clock is not None:
-            # For subscribers that start while the simulation is paused; the recording has it already.
+        if figures["state"] != "running":
+            self.publish_clock(stamp_ns)
+
+    def publish_clock(self, stamp_ns):
+        """Publish /clock again, for subscribers that missed it; the recording has it already."""
+        if self._clock is not None:
             self._clock.publish(ClockCodec.encode(stamp_ns))
 
     def _encoded(self, stamp_ns, figures):

@@ -4,7 +4,7 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
-from liegroup_core.forces.instants import NS
+from liegroup_core.forces.instants import NS, nearest_whole
 
 IDLE_RATE = 100.0  # Hz of simulated time at which a simulation without outputs advances
 
@@ -18,21 +18,31 @@ class Output(NamedTuple):
     answers: bool = True  # whether it is called at once after an input
 
 
+def following(rate, now):
+    """First multiple, in whole ns, of the period of a rate in Hz after a time in ns: no error accumulates."""
+    parts, unit = rate.as_integer_ratio()
+    number, found = now * parts // (unit * NS), now
+    while found <= now:
+        number += 1
+        found = nearest_whole(number * unit * NS, parts)
+    return found
+
+
+def is_multiple(rate, now):
+    """Whether a time in ns is a multiple of the period of a rate in Hz."""
+    return following(rate, now - 1) == now
+
+
 class _Multiples:
-    """Multiples of the period of a rate, each rounded to whole ns: no error accumulates."""
+    """The next one of the multiples of the period of a rate."""
 
     def __init__(self, rate):
-        self._parts, unit = rate.as_integer_ratio()
-        self._size = unit * NS
+        self._rate = rate
         self.next = -1
 
     def go_on(self, now):
         """Set `next` to the first one after a time in ns."""
-        number = now * self._parts // self._size
-        self.next = now
-        while self.next <= now:
-            number += 1
-            self.next = (2 * number * self._size + self._parts) // (2 * self._parts)
+        self.next = following(self._rate, now)
 
 
 class Rates:
@@ -58,6 +68,10 @@ class Rates:
             if each.next <= now:
                 each.go_on(now)
         return min([each.next for each in self._times.values()])
+
+    def sent_at(self, stamp_ns):
+        """Outputs that were sent with a stamp."""
+        return [output for (output, _), sent in zip(self._outputs, self._sent) if sent == stamp_ns]
 
     def need_state(self, now):
         """Whether an output that is due at a time sends a state."""

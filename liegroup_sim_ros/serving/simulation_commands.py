@@ -15,6 +15,8 @@ from liegroup_sim_ros.messages import events
 from liegroup_sim_ros.numbers import counted
 from liegroup_sim_ros.recording import attachments
 
+from .lockstep import aligned
+
 MOST_SNAPSHOTS = 1000
 # {name for SimulationServer.call: method}
 COMMANDS = {
@@ -34,6 +36,7 @@ COMMANDS = {
     "watch": "_watch",
     "accuracy": "_accuracy",
     "plan_outputs": "_plan_outputs",
+    "lockstep": "_set_lockstep",
     "clear": "_clear",
     "sample": "_sample",
     "hold": "_hold",
@@ -79,6 +82,7 @@ class SimulationCommands:
         if self.state == "running":
             return "already running"
         self.state = "running"
+        self.lockstep.forget_wait()
         self.pacer.start(self._seconds())
         self._event("resume", f"running from step {self._simulation.steps}")
         return f"running from {self._seconds():.9g} s"
@@ -128,8 +132,12 @@ class SimulationCommands:
         return result
 
     def _next_stamp(self):
-        """Stamp of a state that was set: one step after the last one, so that no stamp occurs twice."""
-        return self.stamp_ns + max(1, round(self._simulation.step * 1e9))
+        """Stamp of a state that was set: one step after the last one, so that no stamp occurs twice.
+
+        In lockstep it may be later: controllers find their times by the stamps.
+        """
+        after = self.stamp_ns + max(1, round(self._simulation.step * 1e9))
+        return aligned(self.lockstep.rates.values(), after, self._simulation.time_ns)
 
     def _restart(self, name, text, result):
         """Continue from a state that was set in the simulation; send the event and all outputs."""
@@ -139,6 +147,7 @@ class SimulationCommands:
         self.stamp_ns = self._next_stamp()
         self._base_ns = self.stamp_ns - self._simulation.time_ns
         self._inbox.discard()
+        self.lockstep.discard()
         self._said.clear()
         self._real_time.restart()
         self._event(name, text)
@@ -195,6 +204,11 @@ class SimulationCommands:
         if self._output.impulses:
             self._simulation.drain_impacts()  # the simulation collects impacts from here on
         return "the rates of the topics have changed"
+
+    def _set_lockstep(self, rates):
+        self.lockstep.set(rates)
+        self._plan()
+        return "the topics of the lockstep have changed"
 
     def _accuracy(self, accuracy):
         self._finish_step()

@@ -26,6 +26,7 @@ from liegroup_sim_ros.messages.joint_modes import JointReports
 
 from .figures import Saturation, error_figures, pacing_figures
 from .inbox import Inbox
+from .lockstep import LOOK, Lockstep
 from .rates import Output, Rates
 from .real_time import RealTime
 from .simulation_commands import COMMANDS, CommandError, SimulationCommands
@@ -43,7 +44,8 @@ class SimulationServer(SimulationCommands, threading.Thread):
     simulation : liegroup_core.Simulation; only this thread uses it from `start` to its end
     output     : Outputs, or an object with the attributes timed, state_rate, targets, motions, impulses and
                  the methods at_step, state, inputs, all_inputs, servo_targets, prescribed, event, diagnostics;
-                 joint_modes if joints have stops or friction; impact if impulses is not empty
+                 joint_modes if joints have stops or friction; impact if impulses is not empty; listeners,
+                 publish_clock and publish_again with a lockstep
     factor     : real-time factor, 0: as fast as possible
     follow_period : s, during which targets of a trajectory are constant
     motion_time   : s, in which a driven joint comes to rest
@@ -51,6 +53,7 @@ class SimulationServer(SimulationCommands, threading.Thread):
     base_ns    : stamp of step 0
     origin     : text of the event `start` besides the name of the scene
     watching   : keep `positions`, {joint: rad or m} after the last block of steps; else they are None
+    lockstep, lockstep_timeout : arguments rates and timeout of the Lockstep, an attribute
 
     The state is "running", "paused" or "faulted". After a SimulationError the last valid state is
     kept until a reset. `failure` is the exception that ended the thread, or None.
@@ -67,6 +70,8 @@ class SimulationServer(SimulationCommands, threading.Thread):
         follow_period=2e-3,
         motion_time=0.02,
         watching=False,
+        lockstep=None,
+        lockstep_timeout=0.0,
     ):
         super().__init__(name="simulation", daemon=True)
         self._simulation = simulation
@@ -75,6 +80,7 @@ class SimulationServer(SimulationCommands, threading.Thread):
         self._lock = threading.Lock()
         self._commands = []  # (Future, bound method, arguments)
         self._inbox = Inbox(simulation, follow_period, motion_time, self._wake.set)
+        self.lockstep = Lockstep(self._wake.set, lockstep, lockstep_timeout)
         self._unseen = None  # stamp in s from which inputs act that no sample shows yet
         self._plan()
         self._stopping = False
@@ -105,7 +111,7 @@ class SimulationServer(SimulationCommands, threading.Thread):
         sources), "watch" (whether `positions` are kept), "place" (poses, twists, joints, reason; see
         Engine.place), "save" and "restore" (name of a snapshot), "set" (a state of "present", reason), "accuracy"
         (a number), "repeat" (Commands, and a number of steps after them), "plan_outputs" (after a change of their
-        rates), "sample", "present", "hold". The result is one
+        rates), "lockstep" (rates of its topics), "sample", "present", "hold". The result is one
         line of text, with three exceptions: "sample" returns a Moment, "present" the stamp and the state, and
         "hold" whether the simulation was running. "hold" is a pause that also
         works after a fault. A "step" in several parts is "advance" (count, s of wall time) for each of them,
@@ -196,6 +202,8 @@ class SimulationServer(SimulationCommands, threading.Thread):
         output = self._output
         self._rates = Rates(
             [
+                # First, because an answer may arrive before all outputs are sent.
+                *(Output(rate, partial(self._ask, topic), False, False) for topic, rate in self.lockstep.rates.items()),
                 *output.timed,
                 *([Output(output.state_rate, self._send_state, answers=False)] if output.state_rate else []),
             ]
@@ -218,14 +226,14 @@ class SimulationServer(SimulationCommands, threading.Thread):
     def _tick_or_wait(self):
         """Advance to the next tick if it is due; else wait for it, a command or the diagnostics."""
         idle = max(0.0, self._next_diagnostics - time.monotonic())
-        if self.state == "running":
+        if self.state == "running" and not (self.lockstep.missing and self._wait_for_answers(idle)):
             tick = self._next_tick()
             if self._unseen is None and self._inbox.acts_before(tick):
                 self._unseen = self._seconds()
             # The next sample after an input is sent at once, at most one period early.
             if self.pacer.wait(tick * 1e-9, idle, self._unseen) and self._advance_to(tick):
                 self._keep_to_real_time()
-        else:
+        elif self.state != "running":
             self._wake.wait(idle)
         if time.monotonic() >= self._next_diagnostics:
             slow = self._real_time.slow(self.state == "running")
@@ -233,6 +241,30 @@ class SimulationServer(SimulationCommands, threading.Thread):
                 self._warn_once("slow", slow)
             self._output.diagnostics(self.stamp_ns, self._figures(self._sample_now()))
             self._next_diagnostics = max(self._next_diagnostics + DIAGNOSTICS_PERIOD, time.monotonic())
+
+    def _ask(self, topic, stamp_ns, _):
+        self.lockstep.ask(topic, stamp_ns, stamp_ns - self._base_ns)
+
+    def _wait_for_answers(self, longest):
+        """Wait for answers to the present state, at most `longest` s; returns whether some are missing.
+
+        Raises CommandError if the time limit ends the wait of a step that a command takes.
+        """
+        text, ended, again = self.lockstep.wait(self._wake.wait, longest, self._output.listeners)
+        if text:
+            if not ended:
+                log.warning(text)
+            self._event("lockstep", text, ended)
+        if again == "clock":
+            self._output.publish_clock(self.stamp_ns)
+        elif again:
+            self._output.publish_again(self._rates.sent_at(self.stamp_ns), self.stamp_ns, self._simulation.sample())
+        if ended and self.state != "running":
+            raise CommandError(text)
+        if ended:
+            self.state = "paused"
+            self.pacer.stop()
+        return ended or bool(self.lockstep.missing)
 
     def _execute_commands(self):
         with self._lock:
@@ -286,6 +318,16 @@ class SimulationServer(SimulationCommands, threading.Thread):
                 return False
             if simulation.steps < instant.step:
                 return not self._stopping
+        while self.lockstep.missing:  # in steps that a command takes
+            if self._stopping or enough():
+                return not self._stopping
+            self._wake.clear()
+            try:
+                self._wait_for_answers(LOOK)
+            finally:
+                self._wake.set()  # there may be other commands
+        for give in self.lockstep.take():
+            give()
         self._inbox.deliver(self._base_ns, instant.time)
         if changes := self._send_commands():
             self._send_changes(self.stamp_ns, changes)
@@ -456,4 +498,5 @@ class SimulationServer(SimulationCommands, threading.Thread):
             **({"joint_events": self._simulation.event_count} if self._reports else {}),
             "wrenches_held": self.inputs_held,
             "inputs_replaced": self._inbox.replaced,
+            **self.lockstep.figures(),
         }

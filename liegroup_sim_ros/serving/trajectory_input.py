@@ -35,14 +35,16 @@ class TrajectoryInput(JointInput):
     def __init__(self, layout, present=None):
         super().__init__("joint trajectory", "joint_trajectories", REASONS, layout, present)
 
-    def read(self, payload, now_ns, stamped=True, jumps=None):
-        """Waypoints of a serialized JointTrajectory. Raises Refusal.
+    def read(self, payload, now_ns, stamped=True, jumps=None, may_be_empty=False):
+        """Waypoints of a serialized JointTrajectory, or None of an empty one that may be so. Raises Refusal.
 
         now_ns  : current stamp
         stamped : False: the time stamp is ignored
         jumps   : Jumps, or None for no limit
         """
         stamp_ns, names, points = self.decoded(decode_trajectory, payload, self.most_names)
+        if may_be_empty and not (names or points):
+            return None
         self.check_names(names)
         for name in names:
             if not (self.servos.get(name, False) or name in self.driven):

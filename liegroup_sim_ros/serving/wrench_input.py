@@ -55,7 +55,7 @@ class WrenchInput(CountedInput):
     def read(self, payload, kind, body, now_ns, held):
         """Command of a serialized WrenchStamped. Raises Refusal.
 
-        kind   : of the topic: "wrench", "persistent" or "body"
+        kind   : of the topic: "wrench" or "wrench/NAME", "persistent", "body"
         body   : body of the topic, None if frame_id gives it
         now_ns : current stamp
         held   : number of wrenches that act now or start later

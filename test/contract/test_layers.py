@@ -19,7 +19,9 @@ PACKAGES = ("liegroup_core", "liegroup_sim_ros")
 IMPORTING = ("import_module", "__import__", "resolve_name", "run_module")  # calls with the name of a module
 PROCESSES = (("liegroup_sim_ros.node.node", "liegroup_sim_ros.commands.main"),)  # started, not imported
 # Rooms that import ROS, and its packages.
-WITH_ROS = tuple(f"liegroup_sim_ros.{name}" for name in ("commands", "node", "playback.player", "view.remote"))
+WITH_ROS = tuple(
+    f"liegroup_sim_ros.{name}" for name in ("commands", "controller", "node", "playback.player", "view.remote")
+)
 ROS = re.compile(r"rclpy|ros2\w+|\w+_(msgs|srvs|interfaces)")
 
 
