@@ -420,6 +420,11 @@ class Engine:
         if METHODS[self.method].controlled:  # a step may have 100 000 substeps
             self._integrator.limit_attempts(0)
 
+    @property
+    def is_halted(self) -> bool:
+        """Whether `halt` was called since the last `advance` began."""
+        return self._halted
+
     def _go_on(self):
         """Allow `advance` again after `halt`."""
         self._halted = False

@@ -334,6 +334,9 @@ class RunningError:
         if not (self._alive and self.begun):
             return self.estimate.distance, self.estimate.largest
         if self._seen_at != now:
+            if self._companion.is_halted:  # it does not get there
+                self._seen[:] = math.nan
+                return self._seen, (math.nan, math.nan)
             self._seen_largest = self._look_there(self._seen)
             self._seen_at = now
         return self._seen, self._seen_largest

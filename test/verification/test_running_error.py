@@ -317,3 +317,20 @@ def test_the_estimate_knows_an_error_that_is_all_rounding(inertia, rate):
     known = errors > 1e-11
     assert np.median(estimates[known] / errors[known]) > 1.0
     assert "finer" not in (simulation.doubt or "") and "times smaller" not in (simulation.doubt or "")
+
+
+@pytest.mark.parametrize(
+    "arguments", [{"accuracy": 1e-4}, {"method": "radau5", "step": 2e-3}, {"method": "rkmk4", "step": 1e-3}]
+)
+def test_a_run_that_is_halted_has_no_wrong_error(arguments):
+    """The second run does not get to the present time any more: its distance would be that of two times."""
+    simulation = Simulation(load_scene("heavy_top"), quiet=True, **arguments)
+    simulation.advance_to(0.5)
+    known = simulation.largest_error
+    simulation.halt()
+    assert simulation.largest_error == known  # of this time
+    simulation.advance_to(0.61)
+    simulation.halt()
+    assert math.isnan(simulation.largest_error) and np.isnan(simulation.sample().errors).all()
+    simulation.advance_to(0.62)
+    assert 0.0 < simulation.largest_error < 10 * known + 1e-3
