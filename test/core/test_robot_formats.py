@@ -595,7 +595,7 @@ def test_actuators_of_mjcf(actuators, forces, data, notes, tmp_path):
     """(stiffness, damping, limit) of servos, the range of commands, and what is said."""
     path = written(tmp_path / "driven.xml", filled(DRIVEN, flag="", actuators=actuators, key=""))
     scene = load_scene(path)
-    assert [(each.name, each.stiffness, each.damping, each.effort_limit) for each in scene.forces] == forces
+    assert [[each.name, each.stiffness, each.damping, each.effort_limit] for each in scene.forces] == forces
     assert scene.joints[0].data == data
     assert set(notes) <= set(scene.notes) and bool(scene.differences) == any("changes" in note for note in notes)
     path.write_text(filled(DRIVEN, flag='actuation="disable"', actuators=actuators, key=""))

@@ -176,7 +176,7 @@ forces:
   - {name: feed, type: law, inputs: {v: rail.velocity}, signals: {wave: 0.3*sin(2*t), rate: v - wave},
      outputs: [{joint: rail, effort: -2*v}]}
   - {name: push, type: law, outputs: [{body: block, force: [0, 1, 0]}]}"""
-    scene = scene_from_text(SLIDE.format(gravity=0, joint="", speed=SPEED, more=more))
+    scene = scene_from_text(filled(SLIDE, gravity=0, joint="", speed=SPEED, more=more))
     plots = {title: plot for title, _, plot in make_plots(analysed(tmp_path / "a.mcap", scene), ["signals"])}
     assert [title for title in plots if title.startswith("Law")] == ["Law feed"]
     curves = {trace["name"]: np.array(trace["y"]) for trace in plots["Law feed"]["data"]}

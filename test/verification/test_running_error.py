@@ -229,16 +229,16 @@ def test_a_companion_that_fails_between_checkpoints_is_noticed_at_the_next(monke
         simulation = Simulation(load_scene("heavy_top"), accuracy=1e-6, quiet=True)
         simulation.advance(50)
         running = simulation._running
-        block, advance_to = running._block, running.companion.advance_to_step
+        block, advance_to = running._block, running.companion._go
         fails = running._next - block + running.ours  # engine steps, inside a block
         assert block > running.ours
 
-        def stop(steps):
-            if steps * running.ours >= fails:
+        def stop(instant):
+            if instant.step * running.ours >= fails:
                 raise SimulationError("stopped")
-            advance_to(steps)
+            advance_to(instant)
 
-        monkeypatch.setattr(running.companion, "advance_to_step", stop)
+        monkeypatch.setattr(running.companion, "_go", stop)
         while simulation.steps < 100:
             simulation.advance(at_once)
         assert simulation.largest_error == math.inf
