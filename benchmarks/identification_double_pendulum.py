@@ -71,11 +71,10 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("files", nargs="+", metavar="CSV")
     parser.add_argument("--seconds", type=float, default=4.0, help="of each recording (default: 4)")
-    parser.add_argument("--segment", type=float, default=1.0, help="longest segment, s (default: 1)")
     args = parser.parse_args()
     log, console = joined([log_of(path, args.seconds) for path in args.files]), Console()
-    console.print(f"published numbers: {compare(scene(), log, args.segment).verdict}")
-    found = identify(scene(), log, NAMES, length=args.segment)
+    console.print(f"published numbers: {compare(scene(), log).verdict}")
+    found = identify(scene(), log, NAMES)
     table = Table("number", "published", "found", "95 %")
     for name, before, value, half in zip(found.paths, found.before, found.values, 1.96 * found.deviations):
         table.add_row(name, f"{before:.4g}", f"{value:.4g}", f"{half:.2g}")

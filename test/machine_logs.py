@@ -76,12 +76,65 @@ joints:
      parent_frame: {position: [0.1, -0.05, 0], axis: [0, 1, 0]}, child_frame: {axis: [0, 1, 0]}}
 couplings: [{name: rack, joint: other, other: hinge, ratio: -1}]
 """
-# Names of the actuated joints, and of what is driven how strongly, N m.
+SWING = """
+name: swing
+gravity: [0, 0, -9.81]
+bodies:
+  - {name: rod, shape: {type: rod, axis: [0, 0, 1], length: 0.6, radius: 0.01, mass: 0.4}, position: [0, 0, -0.3]}
+joints:
+  - {name: hinge, type: revolute, parent: world, child: rod, parent_frame: {axis: [0, 1, 0]}, HINGE}
+"""
+DOUBLE = """
+name: double
+gravity: [0, 0, -9.81]
+bodies:
+  - {name: upper, shape: {type: rod, axis: [0, 0, 1], length: 0.4, radius: 0.01, mass: 0.3}, position: [0, 0, -0.2]}
+  - {name: lower, shape: {type: rod, axis: [0, 0, 1], length: 0.3, radius: 0.01, mass: 0.2}, position: [0, 0, -0.55]}
+joints:
+  - {name: motor, type: revolute, parent: world, child: upper, parent_frame: {axis: [0, 1, 0]},
+     child_frame: {position: [0, 0, 0.2], axis: [0, 1, 0]}, MOTOR}
+  - {name: hinge, type: revolute, parent: upper, child: lower, parent_frame: {position: [0, 0, -0.2], axis: [0, 1, 0]},
+     child_frame: {position: [0, 0, 0.15], axis: [0, 1, 0]}, HINGE}
+"""
+SLIDER_CRANK = """
+name: slider_crank
+gravity: [0, -9.81, 0]
+assemble: true
+bodies:
+  - {name: crank, shape: {type: box, size: [0.1, 0.02, 0.02], mass: 0.4}, position: [0.05, 0, 0], initial: fixed}
+  - {name: rod, shape: {type: box, size: [0.3, 0.02, 0.02], mass: 0.5}, position: [0.25, 0, 0]}
+  - {name: slider, shape: {type: box, size: [0.06, 0.05, 0.05], mass: 0.8}, position: [0.4, 0, 0]}
+joints:
+  - {name: motor, type: revolute, parent: world, child: crank, parent_frame: {}, child_frame: {position: [-0.05, 0, 0]},
+     MOTOR}
+  - {name: pin, type: revolute, parent: crank, child: rod, parent_frame: {position: [0.05, 0, 0]},
+     child_frame: {position: [-0.15, 0, 0]}}
+  - {name: ball, type: spherical, parent: rod, child: slider, parent_frame: {position: [0.15, 0, 0]}}
+  - {name: hinge, type: prismatic, parent: world, child: slider, parent_frame: {axis: [1, 0, 0]},
+     child_frame: {axis: [1, 0, 0]}, HINGE}
+"""
+CART = """
+name: cart
+gravity: [0, 0, -9.81]
+bodies:
+  - {name: cart, shape: {type: box, size: [0.2, 0.1, 0.1], mass: 0.9}}
+  - {name: pole, shape: {type: rod, axis: [0, 0, 1], length: 0.5, radius: 0.01, mass: 0.2}, position: [0, 0, -0.25]}
+joints:
+  - {name: motor, type: prismatic, parent: world, child: cart, parent_frame: {axis: [1, 0, 0]},
+     child_frame: {axis: [1, 0, 0]}, MOTOR}
+  - {name: hinge, type: revolute, parent: cart, child: pole, parent_frame: {axis: [0, 1, 0]},
+     child_frame: {position: [0, 0, 0.25], axis: [0, 1, 0]}, HINGE}
+"""
+# Text, names of the actuated joints and how strongly they are driven in N m or N, and joints that start elsewhere.
 MACHINES = {
-    "furuta": (PENDULUM, {"motor": 0.25}),
-    "four_bar": (FOUR_BAR, {"motor": 1.5}),
-    "arm": (ARM, {"motor": 12.0, "hinge": 4.0, "wrist": 0.1}),
-    "gripper": (GRIPPER, {"motor": 2.0, "hinge": 0.5}),
+    "furuta": (PENDULUM, {"motor": 0.25}, {}),
+    "four_bar": (FOUR_BAR, {"motor": 1.5}, {}),
+    "arm": (ARM, {"motor": 12.0, "hinge": 4.0, "wrist": 0.1}, {}),
+    "gripper": (GRIPPER, {"motor": 2.0, "hinge": 0.5}, {}),
+    "swing": (SWING, {}, {"hinge": (1.1, 0.0)}),
+    "double": (DOUBLE, {}, {"motor": (1.2, 0.0), "hinge": (-0.6, 0.0)}),
+    "slider_crank": (SLIDER_CRANK, {"motor": 1.0}, {}),
+    "cart": (CART, {"motor": 4.0}, {"hinge": (0.5, 0.0)}),
 }
 DELAY, LOST = 0.004, 0.02
 NOISE = {"position": 5e-4, "velocity": 5e-3}
@@ -105,6 +158,7 @@ def log_of(true, name, seed, seconds=4.0, rate=250.0, delay=DELAY, scale=1.0):
     """
     rng = np.random.default_rng(seed)
     simulation = Simulation(true, quiet=True, accuracy=1e-8)
+    simulation.place(joints=MACHINES[name][2])
     at = np.arange(0.0, seconds, 0.01)
     inputs = []
     for joint, size in MACHINES[name][1].items():

@@ -10,17 +10,16 @@ import scipy
 from liegroup_core.errors import SceneError, SimulationError
 from liegroup_core.linear.coordinates import Coordinates
 
-from .contradictions import Effect, Effects, Missing, channel_fits
+from .contradictions import Effect, Effects, Missing, channel_fits, white
 from .fit import Fit, Solution
 from .horizon import Horizon, horizons
 from .runs import Runs, Unknowns
 from .starts import first_states, has_others, starts_of, state_at
 
 LEVEL = 0.95  # of intervals
-LENGTH = 2.0  # s, of a segment
-PARTS = (16, 4, 1)  # of the length: segments with which fits begin, as short ones need no good start
-FEW_SEGMENTS = 4  # of the longest, with which fits begin
-ENOUGH = 3  # messages in a segment, on average: two positions of a joint fit any model, by its start
+WRONG = 0.01  # probability that residuals of a right model are not found white
+SLACKS = 1.0, 1e-2, 1e-5  # of ties, one after the other
+FEW_SEGMENTS = 4  # of each recording, which show how long segments may be
 LEAST = 9  # measurements in a segment: as many as the first guess of a start takes
 LINEAR = 0.01  # of the spread of an output: largest rms that is not noise, for effects to be linear
 # Three standard deviations of mean square minus estimated variance of n residuals that are white noise, by the variance
@@ -29,7 +28,6 @@ BY_CHANCE = 3.0 * 2.7
 # Largest growth G of differences in a segment. Columns have a relative error of 1e-8 G, see CHANGE, and starts explain
 # all but 1/G of what delays and numbers change: of what is left, the error is 1e-8 G^2, here 1e-2.
 PARTED = 1e3
-MUCH_PARTED = 1e5  # expected growth with which longer segments are not tried
 LONGEST = 0.01  # s, first longest step; it is halved until the errors are a small part of the noise
 PART = 0.1  # of the noise: largest error of the integration
 MOST_HALVES = 8
@@ -39,10 +37,8 @@ WIDEST, PART_OF_LOG, CANDIDATES, FINER = 30.0, 0.5, 10, 11
 NOISY = 4.0  # mean square that is nearly noise: a wrong model does not lead to a delay far away
 NEAR = 100.0  # mean square: residuals of ten deviations are no question of single clocks, and show no delay
 CLEARLY = 0.25  # of the mean square without a delay
-FEW = 1.0  # s of the log in which they are tried, at least
+FEW, EARLY = 1.0, 8  # s of the log in which they are tried, at least, and parts of it
 KEPT = 0.5  # share of the measurements of a clock that stay
-ORDER = 4
-MOST_RESTARTS = 5  # of fits, from where segments before end
 REFINED, MOST_REFINED = 0.1, 3  # change of the noise that is small, and repetitions
 ROUGHLY = 1e-3  # relative decrease of the sum of squares in the last step: effects are judged by larger ones
 
@@ -58,6 +54,8 @@ class Comparison:
     alone    : [Effect], each alone, by share
     missing  : [Missing] efforts against the motion of each joint, by share; none where the log agrees
     numerics : [(p,)] largest estimated error of the integration by the noise, of each Measured
+    jointly  : probability of correlations as large of all outputs, if residuals are white noise
+    is_explained : whether effects explain what is more than noise
     """
 
     fit: Fit
@@ -68,6 +66,8 @@ class Comparison:
     missing: list[Missing]
     numerics: list
     horizons: list[Horizon]
+    jointly: float
+    is_explained: bool = True
 
     @property
     def worst(self):
@@ -76,8 +76,23 @@ class Comparison:
 
     @property
     def agrees(self):
-        """Whether residuals are as small as the noise, no effect explains them, and longer runs are off by no more."""
-        return self._is_noise and (self.horizon is None or self.horizon.differs_from == np.inf)
+        """Whether one run along the log leaves white noise, predictions keep their band, and no effect is clear."""
+        is_near = self.horizon is None or self.horizon.differs_from == np.inf
+        return self.is_noise and is_near and not self.effects
+
+    @property
+    def is_noise(self):
+        """Whether one run along each recording leaves noise, which that of inputs colours if it is known."""
+        log = self.fit.runs.log
+        is_coloured = any(each.noise is not None for each in (*log.inputs, *log.drives))
+        is_small = self.solution.converged and self.worst.chi <= self.worst.limit
+        return bool(is_small and (is_coloured or self.is_white))
+
+    @cached_property
+    def is_white(self):
+        """Whether residuals of one run along each recording are white, by tests at WRONG for all together."""
+        least = min(channel.p_white for channel in self.channels) * len(self.channels)
+        return min(least, self.jointly) > 0.5 * WRONG
 
     @property
     def horizon(self):
@@ -87,10 +102,6 @@ class Comparison:
             return each.differs_from, each.within_noise / each.ahead[-1]
 
         return min(self.horizons, key=order, default=None)
-
-    @property
-    def _is_noise(self):
-        return bool(self.worst.chi <= self.worst.limit) and not self.effects
 
     @property
     def delays(self):
@@ -124,26 +135,20 @@ class Comparison:
 
     @cached_property
     def starts(self):
-        """[SegmentStart] of the segments."""
+        """[SegmentStart] of the recordings."""
         return starts_of(self.fit, self.solution, max(1.0, self.reduced))
 
     @cached_property
     def reduced(self):
         """Sum of the squares of the weighted residuals by the degrees of freedom."""
-        return float(self.solution.left @ self.solution.left) / self._freedom
-
-    @cached_property
-    def _freedom(self):
-        unknowns = sum(basis.shape[1] for basis in self.solution.bases) + self.solution.columns.shape[1]
-        count = sum(int(np.isfinite(part).sum()) for parts in self.solution.residuals for part in parts)
-        return max(count - unknowns, 1)
+        return self.solution.reduced
 
     @property
     def half_width(self):
         """Half of a 95 % interval by the standard deviation: of Student's distribution if noise is estimated."""
         if all(np.isfinite(each.deviation).all() for each in self.fit.runs.log.measured):
             return float(scipy.special.ndtri(0.5 + 0.5 * LEVEL))
-        return float(scipy.special.stdtrit(self._freedom, 0.5 + 0.5 * LEVEL))
+        return float(scipy.special.stdtrit(self.solution.freedom, 0.5 + 0.5 * LEVEL))
 
     @property
     def verdict(self):
@@ -152,17 +157,16 @@ class Comparison:
         text = "" if horizon is None else f"The model {horizon.text}. "
         if self.agrees:
             return f"{text}The measurements agree with it: what is left is noise."
-        if self._is_noise:
-            longest = max(segment.times[-1] - segment.start for segment in self.fit.runs.segments(solution.point))
-            return f"{text}Segments of {longest:.3g} s, each with its own start, agree with it, but longer runs do not."
-        text += "" if solution.converged else "The fit of the starts did not converge. "
+        text += "" if solution.converged else "No single run along the log was found. "
         if worst.chi > worst.limit:
             text += f"{worst.name} is {worst.chi:.3g} times its noise off (rms {worst.rms:.3g})."
         else:
             text += f"{worst.name} is as near as its noise (rms {worst.rms:.3g}), but what is left is not noise."
         if not self.effects:
-            return text + " No single effect explains it."
+            return text + " No listed effect explains it."
         first = self.effects[0]
+        if not self.is_explained:
+            text += " Something that no listed effect explains acts; nearest:"
         share = f"{100.0 * first.share:.3g} % of the sum of squares"
         text += f" {first.text[0].upper()}{first.text[1:]}, {_sized(first)}, would explain {share}"
         others = [each for each in self.alone if each.text != first.text and each.share > 0.9 * first.share]
@@ -176,97 +180,106 @@ def _sized(effect):
     return f"{effect.value:.3g} {effect.unit}".strip().removesuffix(" 1")
 
 
-def compare(scene, log, length=LENGTH, workers=None):
+def compare(scene, log, workers=None):
     """Comparison of a Log with a Scene.
 
-    length  : s, of the longest segments, each of which starts anew; shorter ones where the model is far off
     workers : threads; None: as many as cores
     Raises SceneError for unknown channels, SimulationError if the scene cannot be simulated from the measured start.
     """
-    fit, solution, _ = fitted(scene, log, (), length, workers)
-    return judged(fit, solution)
+    fit, near, solution, _ = fitted(scene, log, (), workers)
+    return judged(fit, near, solution)
 
 
-def fitted(scene, log, names=(), length=LENGTH, workers=None, limits=None, priors=None, held_out=0.0):
-    """(Fit, Solution, bounds of the segments left out) with the longest segments in which the model is near.
+def fitted(scene, log, names=(), workers=None, limits=None, priors=None, held_out=0.0):
+    """(Fit, near Solution, tied Solution, bounds of the segments left out).
 
-    A fit of a few of the longest segments finds the length and nearly the numbers; one of all segments continues.
+    Segments, each with a start of its own, are as long as the model is near to the measurements in them. Then starts
+    are tied, with less and less slack: the end of each segment is the start of the next, as in one run along the log.
 
     names, limits, priors : of numbers that vary, see Fit
     held_out : share of the segments, at the end, that are left out
     """
-    fit, bounds = begin(scene, log, names, length, workers, limits, priors)
-    kept = max(1, len(bounds[-1]) - round(held_out * len(bounds[-1])))
-    few = np.unique(np.linspace(0, kept - 1, FEW_SEGMENTS).astype(int))
-    found, level = _nested(fit, [_divided(each, few, len(bounds[-1])) for each in bounds])
-    if len(few) < kept:
-        parts = [_divided(each, np.arange(kept), len(bounds[-1])) for each in bounds[: level + 1]]
-        whole = _solved(fit, continued(fit, parts[-1], found))
-        found, level = (_refined(fit, whole), level) if _is_near(fit, whole) else _nested(fit, parts, found)
-    return fit, found, bounds[level][kept * len(bounds[level]) // len(bounds[-1]) :]
+    fit, point = begin(scene, log, names, workers, limits, priors)
+    length, point = _length(fit, point)
+    while True:
+        bounds = _divided(log.usable.spans, length)
+        kept = max(1, len(bounds) - round(held_out * len(bounds)))
+        near = _refined(fit, fit.solve(_in_turn(fit, continued(fit, bounds[:kept], point)), ROUGHLY))
+        if _is_near(fit, near) or length <= _shortest(fit.runs.log):
+            return fit, near, tied(fit, near), bounds[kept:]
+        length *= 0.5
 
 
-def _divided(bounds, chosen, count):
-    """Bounds of the parts of some of `count` longest segments, from those of all parts."""
-    return bounds.reshape(count, -1, 2)[chosen].reshape(-1, 2)
-
-
-def _nested(fit, bounds, found=None):
-    """(Solution, number of its bounds) with the longest segments in which the model is near, from growing ones.
-
-    found : Solution to continue with; None: from the log and the scene
-    """
-    best, growths = None, []
-    for each in bounds:
-        if len(growths) > 1 and _next_growth(*growths[-2:]) > MUCH_PARTED:
+def _length(fit, point):
+    """(Length in s of the longest segments in which the model is near, Unknowns of a few of them)."""
+    spans, length, numbers = fit.runs.log.spans, _shortest(fit.runs.log), fit.runs.numbers
+    most, best = max(last - first for first, last in spans) / FEW_SEGMENTS, None
+    # A few short segments show some numbers badly: these stay near to what they are, and delays there.
+    known = np.isfinite(fit.priors[:, 1:])
+    priors = np.where(known, fit.priors, np.column_stack([point.values, numbers.scales]))
+    few = Fit(fit.runs, list(fit.deviation), fit.free & False, fit.limits, priors, fit.workers)
+    while best is None or 2.0 * best <= most:
+        bounds = [
+            (start, min(start + length, last + 1e-6))
+            for first, last in spans
+            for start in first + (last - first) * np.arange(FEW_SEGMENTS) / FEW_SEGMENTS
+        ]
+        point = in_short_steps(few, continued(few, np.array(bounds), point))
+        solution = _refined(few, few.solve(point, ROUGHLY))
+        if best is not None and not _is_near(few, solution):
             break
-        solution = _solved(fit, first_point(fit, each) if found is None else continued(fit, each, found))
-        if best is not None and not _is_near(fit, solution):
-            break
-        best = found = _refined(fit, solution)
-        growths.append(solution.growth)
-    return best, len(growths) - 1
+        best, point, length = length, solution.point, 2.0 * length
+    return best, point
 
 
-def _solved(fit, point):
-    """Solution from Unknowns, none of whose segments would be nearer if it went on from the end of the one before."""
-    solution = fit.solve(point, ROUGHLY)
-    for _ in range(MOST_RESTARTS):
-        point = _gone_on(fit, solution)
-        if point is solution.point:
-            break
-        solution = fit.solve(point, ROUGHLY)
-    return solution
+def _in_turn(fit, point):
+    """Unknowns whose starts that are far from the measurements follow from the segments before, one after the other."""
+    still, states, before = fixed(fit, point.values), [], None
+    for k in range(len(point.bounds)):
+        one = replace(point, bounds=point.bounds[k : k + 1], states=(point.states[k],), values=np.zeros(0))
+        guesses = [one] if before is None else [one, replace(one, states=(before,))]
+        one = min(guesses, key=still.distance)
+        if still.distance(one) > NOISY:
+            one = still.solve(one, ROUGHLY).point
+        states += one.states
+        (segment,), machine = still.runs.segments(one), still.runs.machine(one.values)
+        before = state_at(machine, segment, states[-1], one.bounds[0, 1] - np.mean(one.delays), one.halves)
+    return replace(point, states=tuple(states))
 
 
-def _gone_on(fit, solution):
-    """Unknowns in which segments start where the ones before end, if they are nearer to the measurements then."""
-    runs, point = fit.runs, solution.point
-    machine, segments, states = runs.machine(point.values), runs.segments(point), list(point.states)
-    for s in range(1, len(segments)):
-        segment, rest = segments[s], solution.residuals[s]
-        state = state_at(machine, segments[s - 1], states[s - 1], segment.start, point.halves)
-        if state is None:
-            continue
-        try:
-            outputs = machine.run(segment, state, halves=point.halves)
-        except SimulationError:
-            continue
-        others = fit.differences(segment, outputs)
-        if np.linalg.norm(fit.weighted(others)) < np.linalg.norm(fit.weighted(rest)):
-            states[s] = state
-    same = all(one is other for one, other in zip(states, point.states))
-    return point if same else replace(point, states=tuple(states))
+def tied(fit, found):
+    """Solution whose segments make one run of each recording, from one whose segments are free."""
+    for slack in SLACKS:
+        found = fit.solve(found.point, ROUGHLY, found, slack)
+    return found
+
+
+def fixed(fit, values):
+    """Fit of the starts alone, with numbers (q,)."""
+    numbers, log = fit.runs.numbers, fit.runs.log
+    scaled = [replace(each, values=each.values * size) for each, size in zip(log.inputs, numbers.factors(values))]
+    runs = Runs(numbers.scene_at(values), replace(log, inputs=tuple(scaled)), (), LONGEST)
+    return Fit(runs, fit.deviation, fit.free & False, None, None, fit.workers)
+
+
+def _shortest(log):
+    """Length in s of segments with as many measurements as the first guess of a start takes."""
+    fullest = max(log.measured, key=lambda each: len(each.times))
+    return LEAST * (float(np.median(np.diff(fullest.times))) if len(fullest.times) > 1 else 1.0)
+
+
+def _divided(spans, length):
+    """Bounds (s, 2) of equal parts of recordings, of about a length in s."""
+    found = []
+    for first, last in spans:
+        ends = np.linspace(first, last + 1e-6, max(1, round((last - first) / length)) + 1)
+        found.append(np.column_stack([ends[:-1], ends[1:]]))
+    return np.vstack(found)
 
 
 def _is_near(fit, solution):
     """Whether the model explains the segments, and differences are linear in them."""
     return solution.converged and excess(fit, solution) <= LINEAR and solution.growth <= PARTED
-
-
-def _next_growth(before, last):
-    """Growth of differences in segments four times as long, if it is exponential in time, from those of two lengths."""
-    return last * (last / before) ** 4 if before > 0.0 else last
 
 
 def _refined(fit, solution):
@@ -282,16 +295,14 @@ def _refined(fit, solution):
     return solution
 
 
-def continued(fit, bounds, solution):
-    """Unknowns of other segments; those that start with one of a Solution start as that does."""
-    given, runs = solution.point, fit.runs
-    known = {segment.start: state for segment, state in zip(runs.segments(given), given.states)}
-    point = replace(given, bounds=bounds)
-    starts = [segment.start for segment in runs.segments(point)]
-    if known.keys() >= set(starts):
-        return replace(point, states=tuple(known[start] for start in starts))
-    states = first_states(runs, bounds, given.delays, given.values)
-    return replace(point, states=tuple(map(known.get, starts, states)))
+def continued(fit, bounds, point):
+    """Unknowns of other segments; those that start with one of a point start as that does."""
+    runs = fit.runs
+    known = {segment.start: state for segment, state in zip(runs.segments(point), point.states)}
+    other = replace(point, bounds=bounds)
+    starts = [segment.start for segment in runs.segments(other)]
+    states = [] if known.keys() >= set(starts) else first_states(runs, bounds, point.delays, point.values)
+    return replace(other, states=tuple(map(known.get, starts, states or starts)))
 
 
 def excess(fit, solution):
@@ -306,49 +317,38 @@ def excess(fit, solution):
     return found
 
 
-def judged(fit, solution):
-    """Comparison of a Solution."""
-    judge = Effects(fit, solution)
-    effects, alone = judge.find()
+def judged(fit, near, solution):
+    """Comparison of a tied Solution; near: one whose segments are free, and near to the measurements."""
+    tied_near = fit.solution(near.point, near.outputs, near.linear, SLACKS[-1])
+    judge = Effects(fit, solution if excess(fit, solution) <= LINEAR and solution.converged else tied_near)
+    columns = [np.flatnonzero(np.isfinite(each.values).any(axis=0)) for each in fit.runs.log.measured]
+    jointly = min(white(fit, solution, t, own) for t, own in enumerate(columns) if len(own)) * len(columns)
     errors = numerics(fit, solution.point, solution.outputs)
-    ahead = horizons(fit, solution)
-    found = Comparison(fit, solution, channel_fits(fit, solution), effects, alone, [], errors, ahead)
-    return found if found.agrees else replace(found, missing=judge.missing())
+    found = Comparison(
+        fit, solution, channel_fits(fit, solution), [], [], [], errors, horizons(fit, near, solution), jointly
+    )
+    effects, alone, missing, is_explained = judge.find(found.is_noise)
+    return replace(found, effects=effects, alone=alone, missing=missing, is_explained=is_explained)
 
 
-def begin(scene, log, names=(), length=LENGTH, workers=None, limits=None, priors=None):
-    """(Fit, [bounds of segments of growing length]); arguments as of `fitted`."""
-    if not (np.isfinite(length) and length > 0.0):
-        raise SceneError(f"the length of segments must be a positive number of seconds, got {length}")
+def begin(scene, log, names=(), workers=None, limits=None, priors=None):
+    """(Fit, Unknowns to begin with, without segments); arguments as of `fitted`."""
     log = log.usable
     runs = Runs(scene, log, names, LONGEST)
     free = [each.delay is None for each in log.measured]
     fit = Fit(runs, [each.noise for each in log.measured], free, limits, priors, workers)
-    fullest = max(log.measured, key=lambda each: len(each.times))
-    most = len(fullest.times)
-    counts = [max(1, round((last - first) / length)) for first, last in log.spans]
-    finest = [np.linspace(first, last + 1e-6, PARTS[0] * count + 1) for count, (first, last) in zip(counts, log.spans)]
-    longest = np.searchsorted(np.concatenate([each[:: PARTS[0]] for each in finest]), fullest.times, "right")
-    if (each := most / len(np.unique(longest))) < ENOUGH:
-        usual = float(np.median(np.diff(fullest.times))) if most > 1 else 0.0
+    length, values = _shortest(log), np.clip(runs.numbers.values, *fit.limits.T)
+    bounds, delays = (
+        _divided(log.spans, max(length, FEW / EARLY)),
+        np.array([each.delay or 0.0 for each in log.measured]),
+    )
+    point = Unknowns(bounds[:1], delays, values, ())
+    if length > FEW and fit.solution(continued(fit, _divided(log.spans, length)[:1], point)).growth > PARTED:
         raise SceneError(
-            f"{fullest.name}: segments of {length:g} s have {each:.3g} of the {most} messages each, too few to judge "
-            f"a model: check the unit of the stamps, {usual:.2g} s apart, or use segments of {LEAST * usual:.2g} s"
+            f"{LEAST} messages take {length:.3g} s, in which motions of the scene part {PARTED:g} times: check the "
+            "unit of the stamps"
         )
-    found = []
-    for part in PARTS:
-        if part == 1 or part * sum(counts) * LEAST <= most:
-            ends = [times[:: PARTS[0] // part] for times in finest]
-            found.append(np.vstack([np.column_stack([each[:-1], each[1:]]) for each in ends]))
-    return fit, found
-
-
-def first_point(fit, bounds):
-    """Unknowns to begin with; steps are short enough for the noise."""
-    runs = fit.runs
-    delays = _rough_delays(fit, bounds, np.array([each.delay or 0.0 for each in runs.log.measured]))
-    values = np.clip(runs.numbers.values, *fit.limits.T)
-    return in_short_steps(fit, Unknowns(bounds, delays, values, first_states(runs, bounds, delays, values)))
+    return fit, replace(point, delays=_rough_delays(fit, bounds, delays))
 
 
 def in_short_steps(fit, point, outputs=None):
@@ -359,15 +359,12 @@ def in_short_steps(fit, point, outputs=None):
 
 
 def numerics(fit, point, outputs=None):
-    """[(p,)] largest estimated error of the integration by the noise, from steps of half the size."""
-    outputs = fit.runs.base(point) if outputs is None else outputs
-    finer = fit.runs.base(replace(point, halves=point.halves + 1))
-    found = []
-    for t, (apart, sigma) in enumerate(zip(fit.apart, fit.deviation)):
-        off = [np.abs(apart(a[t], b[t])) for a, b in zip(outputs, finer)]
-        error = np.concatenate(off).max(axis=0, initial=0.0) * 2**ORDER / (2**ORDER - 1)
-        found.append(error / sigma)
-    return found
+    """[(p,)] largest estimated error of the integration by the noise, of each Measured."""
+    errors = fit.numerics(point, outputs)
+    return [
+        np.abs(np.concatenate([each[t] for each in errors])).max(axis=0, initial=0.0) / sigma
+        for t, sigma in enumerate(fit.deviation)
+    ]
 
 
 def reach(log):

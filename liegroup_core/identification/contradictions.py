@@ -1,33 +1,40 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a model lacks: effects that would explain the residuals of a log, each with its size and share.
 
-An effect is a small change of the model: friction, a spring, rotor inertia or a constant effort at a joint, a scaled
-commanded effort, more mass of a body, a force on one that floats, an offset or a scale of a measurement, a late clock.
-Its column is the change of the weighted outputs along the fitted run. What starts and delays explain is projected out
-of residuals and columns, so that the sum of squares that an effect takes away is a score test. Effects are selected one
-after the other.
+An effect is a small change of the model: friction, drag, cogging, a spring, rotor inertia or a constant effort at a
+joint, a scaled or lagging commanded effort, more mass of a body, a force on one that floats, an offset or a scale of a
+measurement, a late clock. Its column is the change of the weighted outputs and of the ends of segments. These are near
+to the measurements, so that columns are nearly those of the machine; their starts are tied, so that small effects add
+up along the log. What starts, delays and numbers explain is projected out of residuals and columns: the sum of squares
+that an effect takes away is a score test. Effects are selected one after the other.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from itertools import islice, product
 
 import numpy as np
 import scipy
 
-from liegroup_core.errors import SimulationError
 from liegroup_core.threads import one_blas_thread
 
+from .chain import Chain
 from .fit import without
+from .forced import AXES, VARIABLES, Forced
 from .machine import floating
-from .starts import PARTS
 
 SMALL = 1e-3  # of the loads that occur: size of an effect in its run
-AXES = ("x", "y", "z")  # of the world
 MOST = 3  # effects that are named
 CLEAR = 25.0  # decrease of the sum of squares of a single effect above which it is not by chance: five deviations
+EXPLAINED = 0.9  # part of the sum of squares beyond noise that effects take away, if they explain it
 WORTH = 0.02  # share of the sum of squares that a further effect must explain
-NO_COLUMN = 1e-6  # relative size of a column that starts and delays explain
+NO_COLUMN = 1e-6  # relative size of a column that others explain
+# The same of delays and numbers: a force is constant in each part of a run, and of a column that numbers explain such
+# differences are left. Of what starts explain, nothing below HIDDEN_PART / UNTOLD is told.
+UNTOLD, HIDDEN_PART = 0.01, 0.1
+WAVES = (1, 2, 3, 4, 5, 6, 7, 8, 10, 12, 14, 16, 20, 24)  # of cogging, a turn
+LAG_TIMES = (2e-3, 1e-2, 5e-2)  # s
 LAGS = 20  # of the test of whiteness
-BINS = 8  # of an effort as a function of the motion
+BINS = 8  # of an effort as a function of the motion or of time
 # Standard deviations, by the root of the count: of an rms, and of it by the noise that third differences give. The
 # median of absolute values has an efficiency of 0.37, and third differences are correlated.
 SPREAD_OF_RMS, SPREAD_OF_NOISE = 0.71, np.hypot(0.71, 1.16 * 1.52)
@@ -51,11 +58,20 @@ class Effect:
 
 
 @dataclass(frozen=True, eq=False)
-class Missing:
-    """Effort that a joint lacks, as a function of its position or velocity: constant between limits.
+class Candidate:
+    """Effect to be tried: text and unit as of Effect, columns [[(N_s + z,)]] of its k numbers, see `Fit.beside`."""
 
-    joint, variable, unit : variable: "position" or "velocity"; unit of the effort
-    at          : (k,) means of the variable between limits with as many parts of the run, rad or m, and per s
+    text: str
+    unit: str
+    columns: list
+
+
+@dataclass(frozen=True, eq=False)
+class Missing:
+    """Effort that a joint lacks, as a function of its position or velocity, or of time: constant between limits.
+
+    joint, variable, unit : variable: one of VARIABLES; unit of the effort
+    at          : (k,) means of the variable between limits with as many parts of the run, rad or m, and per s, or s
     values, deviations : (k,) least-squares efforts, linear about the model
     share       : of the sum of squares of the residuals
     """
@@ -98,8 +114,6 @@ def channel_fits(fit, solution):
     """[ChannelFit] of all outputs of a Solution."""
     found = []
     segments = fit.runs.segments(solution.point)
-    unknowns = sum(basis.shape[1] for basis in solution.bases) + solution.columns.shape[1]
-    total = sum(int(np.isfinite(part).sum()) for parts in solution.residuals for part in parts)
     for t, each in enumerate(fit.runs.log.measured):
         parts = [residuals[t] for residuals in solution.residuals]
         times = np.concatenate([each.times[segment.rows[t]] for segment in segments])
@@ -110,7 +124,7 @@ def channel_fits(fit, solution):
             if not len(e):
                 continue
             spread = SPREAD_OF_RMS if np.isfinite(each.deviation[p]) else SPREAD_OF_NOISE
-            dof = max(len(e) * (1.0 - unknowns / max(total, 1)), 1.0)
+            dof = max(len(e) * (1.0 - solution.unknowns / max(solution.count, 1)), 1.0)
             square, far = float(e @ e), int(np.abs(e).argmax())
             found.append(
                 ChannelFit(
@@ -123,23 +137,37 @@ def channel_fits(fit, solution):
                     float(np.sqrt(square / dof) / sigma),
                     float(1.0 + SURE * spread / np.sqrt(len(e))),
                     float(scipy.stats.chi2.sf(square / sigma**2, dof)),
-                    _white([part[np.isfinite(part[:, p]), p] for part in parts]),
+                    white(fit, solution, t, [p]),
                 )
             )
     return found
 
 
-def _white(parts):
-    """Probability of Ljung and Box's statistic of residuals, with correlations within each segment only."""
-    count, square = sum(map(len, parts)), sum(float(e @ e) for e in parts)
-    lags = min(LAGS, max(map(len, parts)) // 4)
-    if not lags or not square:
+def white(fit, solution, t, columns):
+    """Probability of correlations as large between successive residuals of a Measured, if these are white noise.
+
+    That of Hosking (1980), for one column of Ljung and Box (1978), within runs along the log.
+    """
+    parts, ends = [residuals[t][:, columns] for residuals in solution.residuals], []
+    for run in np.split(np.arange(len(parts)), solution.firsts[1:]):
+        rest = np.vstack([parts[k] for k in run])
+        ends.append(rest[np.isfinite(rest).all(axis=1)])
+    count, p = sum(map(len, ends)), len(columns)
+    lags, total = min(LAGS, max(map(len, ends)) // (4 * p)), 0.0
+    square = sum(e.T @ e for e in ends)
+    if not lags or not np.diag(square).all():
         return 1.0
-    total = 0.0
+    root = np.linalg.cholesky(square)
     for lag in range(1, lags + 1):
-        correlation = sum(float(e[lag:] @ e[:-lag]) for e in parts if len(e) > lag) / square
-        total += correlation**2 / (count - lag)
-    return float(scipy.stats.chi2.sf(count * (count + 2) * total, lags))
+        C = sum(e[lag:].T @ e[:-lag] for e in ends if len(e) > lag)
+        of = np.linalg.solve(root, np.linalg.solve(root, C).T)
+        total += float(np.sum(of**2)) / (count - lag)
+    return float(scipy.stats.chi2.sf(count * (count + 2) * total, lags * p**2))
+
+
+def _least(J):
+    """Least singular value of columns (m, k)."""
+    return np.linalg.svd(J, compute_uv=False)[-1] if J.shape[1] <= J.shape[0] else 0.0
 
 
 class Effects:
@@ -150,127 +178,179 @@ class Effects:
 
     def __init__(self, fit, solution):
         self._fit, self._solution = fit, solution
-        self._machine = fit.runs.machine(solution.point.values)
-        d = int(fit.free.sum())
-        self._late = np.linalg.qr(solution.columns[:, :d])[0] if d else np.zeros((len(solution.left), 0))
-        self._left = self._without_delays(solution.left)
+        self._machine, self._freedom = fit.runs.machine(solution.point.values), solution.freedom
+        self._forced = Forced(fit.runs, solution.point)
 
     @one_blas_thread()
-    def find(self):
-        """([Effect] of largest share, one after the other; [Effect] each alone, by share)."""
-        names, columns, units = self._columns()
-        if not len(names):
-            return [], []
-        sizes = np.linalg.norm(columns, axis=0)
-        kept = sizes > NO_COLUMN * np.array([unit[1] for unit in units])
-        names, units = ([each for each, keep in zip(of, kept) if keep] for of in (names, units))
-        columns = columns[:, kept]
-        total = float(self._left @ self._left)
-        alone = sorted(
-            (self._effect(names[k], units[k], columns[:, k], self._left, total) for k in range(len(names))),
-            key=lambda effect: -effect.share,
-        )
-        chosen, rest, basis = [], self._left, np.zeros((len(self._left), 0))
-        for _ in range(min(MOST, len(names))):
-            left = without(basis, columns)
-            norms = np.linalg.norm(left, axis=0)
-            usable = norms > 1e-3 * np.linalg.norm(columns, axis=0)
-            taken = np.where(usable, (left.T @ rest) ** 2 / np.maximum(norms, 1e-300) ** 2, 0.0)
-            k = int(taken.argmax())
-            white = float(rest @ rest) / len(rest)
-            if taken[k] < CLEAR * max(white, 1.0) or taken[k] < WORTH * total:
-                break
-            chosen.append(self._effect(names[k], units[k], left[:, k], rest, total))
-            basis = np.column_stack([basis, left[:, k] / norms[k]])
-            rest = rest - basis[:, -1] * (basis[:, -1] @ rest)
-        return chosen, alone
+    def find(self, is_noise):
+        """([Effect] one after the other; [Effect] each alone, by share; [Missing], by share; whether they explain all).
 
-    @one_blas_thread()
-    def missing(self):
-        """[Missing] of each joint with one coordinate, of position and of velocity, largest share first.
-
-        Friction shows as a step or a slope against the velocity, a spring as a slope against the position.
+        is_noise : whether residuals are: then efforts that depend on position, velocity or time are not tried. They are
+                   named only if no other effects explain the residuals.
         """
-        fit, solution = self._fit, self._solution
-        forced, found = _Forced(fit.runs, solution.point), []
-        total = float(self._left @ self._left)
-        for joint, effort, load in self._loads():
-            for k, variable in enumerate(PARTS):
-                x = np.concatenate([part[:, k] for part in forced.middles(joint)])
-                limits = np.unique(np.quantile(x, np.linspace(0.0, 1.0, BINS + 1)))
-                if len(limits) < 3:
+        listed = self._simple()
+        chosen, alone, is_explained = self._chosen(listed)
+        if is_noise:
+            return chosen, alone, [], is_explained
+        profiles = self._profiles()
+        missing = self._missing(profiles)
+        if not (is_explained and len(chosen) == 1):  # several together may imitate one
+            listed += self._waves(missing)
+            chosen, alone, is_explained = self._chosen(listed)
+        if not is_explained:
+            chosen, alone, _ = self._chosen([*listed, *(each for each, *_ in profiles)])
+        return chosen, alone, missing, is_explained
+
+    def _chosen(self, candidates):
+        """([Effect] one after the other; [Effect] each alone, by share; whether they explain what is not noise)."""
+        if not candidates:
+            return [], [], False
+        left, columns, sizes = self._reduced([column for each in candidates for column in each.columns])
+        ends = np.cumsum([len(each.columns) for each in candidates])
+        columns = [each for each in np.split(columns, ends[:-1], axis=1)]
+        usable = [
+            k for k, (J, of) in enumerate(zip(columns, np.split(sizes, ends[:-1]))) if _least(J) > UNTOLD * of.min()
+        ]
+        total, basis, rest, chosen = float(left @ left), np.zeros((len(left), 0)), left, []
+        alone = [self._effect(candidates[k], columns[k], left, total) for k in usable]
+        for _ in range(MOST):
+            best = None
+            for k in usable:
+                J = without(basis, columns[k])
+                if _least(J) <= UNTOLD * _least(columns[k]):
                     continue
-                limits[-1] = np.inf
-                pairs = list(zip(limits[:-1], limits[1:]))
-                items = [(variable, (joint, *pair), load) for pair in pairs]
-                runs = fit.tasks(forced, items)
-                if any(run is None for run in runs):
-                    continue
-                beside = [fit.beside(solution.outputs, run, solution.residuals) for run in runs]
-                J = np.array([self._projected([part / load for part in parts]) for parts in beside]).T
-                Q, R = np.linalg.qr(J)
-                if np.abs(np.diag(R)).min() <= NO_COLUMN * np.abs(np.diag(R)).max():
-                    continue
-                part = Q.T @ self._left
-                white = max((total - float(part @ part)) / len(self._left), 1.0)
-                inverse = np.linalg.inv(R)
-                at = np.array([x[(x >= low) & (x < high)].mean() for low, high in pairs])
-                deviations = np.sqrt(white * np.sum(inverse**2, axis=1))
-                share = float(part @ part) / total if total else 0.0
-                found.append(Missing(joint, variable, effort, at, inverse @ part, deviations, share))
+                Q = np.linalg.qr(J)[0]
+                taken = float(np.sum((Q.T @ rest) ** 2))
+                white = max((float(rest @ rest) - taken) / self._freedom, 1.0)
+                # One deviation from the mean is the least of a number that is not there.
+                score = taken - CLEAR * white * (len(J.T) - 1)
+                if (best is None or score > best[0]) and score > CLEAR * white and taken > WORTH * total:
+                    best = score, k, J, Q
+            if best is None:
+                break
+            _, k, J, Q = best
+            chosen.append(self._effect(candidates[k], J, rest, total))
+            basis, rest = np.hstack([basis, Q]), without(Q, rest)
+        is_explained = total - float(rest @ rest) > EXPLAINED * (total - self._freedom)
+        return chosen, sorted(alone, key=lambda effect: -effect.share), is_explained
+
+    def _missing(self, profiles):
+        """[Missing] of candidates with (joint, variable, unit, means), by share."""
+        found = []
+        for each, joint, variable, unit, at in profiles:
+            left, J, _ = self._reduced(each.columns)
+            Q, R = np.linalg.qr(J)
+            part, total = Q.T @ left, float(left @ left)
+            white = max((total - float(part @ part)) / self._freedom, 1.0)
+            if _least(J) <= NO_COLUMN * np.linalg.norm(J):
+                continue
+            inverse = np.linalg.inv(R)
+            deviations, share = np.sqrt(white * np.sum(inverse**2, axis=1)), float(part @ part) / total
+            found.append(Missing(joint, variable, unit, at, inverse @ part, deviations, share))
         return sorted(found, key=lambda each: -each.share)
 
-    def _effect(self, text, unit, column, rest, total):
-        square = float(column @ column)
-        value = float(column @ rest) / square
-        white = max(float(rest @ rest) / len(rest), 1.0)
-        share = value**2 * square / total if total else 0.0
-        return Effect(text, value, float(np.sqrt(white / square)), unit[0], share)
+    def _profiles(self):
+        """[(Candidate, joint, variable, unit, means (k,))]: efforts that are constant between limits of a variable."""
+        found = []
+        for joint, effort, load in self._loads():
+            motion = np.concatenate(self._forced.middles(joint))
+            for x, variable in zip(motion.T, VARIABLES):
+                limits = np.unique(np.quantile(x, np.linspace(0.0, 1.0, BINS + 1)))
+                if len(limits) > 2:
+                    limits[-1] = np.inf
+                    pairs = list(zip(limits[:-1], limits[1:]))
+                    means = np.array([x[(x >= low) & (x < high)].mean() for low, high in pairs])
+                    text = f"an effort at {joint} that depends on {'time' if variable == 'time' else f'its {variable}'}"
+                    items = [(variable, (joint, *pair), load) for pair in pairs]
+                    found += [(each, joint, variable, effort, means) for each in self._forces([(text, effort, items)])]
+        return found
 
-    def _without_delays(self, columns):
-        return without(self._late, columns)
+    def _waves(self, missing):
+        """[Candidate] of cogging, at the turning joint that lacks most as a function of its position, by [Missing]."""
+        joints = [each.joint for each in missing if each.variable == "position" and each.unit == "N m"][:1]
+        loads, wanted = {joint: load for joint, _, load in self._loads()}, []
+        for joint, n in product(joints, WAVES):
+            items = [("wave", (joint, n, part), loads[joint]) for part in (np.sin, np.cos)]
+            wanted.append((f"cogging of {joint}, {n} times a turn", "N m", items))
+        return self._forces(wanted)
 
-    def _projected(self, parts):
-        """(N,) column of parts [(N_s,)] without what starts and delays explain."""
-        rest = [without(U, part) for part, U in zip(parts, self._solution.bases)]
-        return self._without_delays(np.concatenate(rest))
+    def _effect(self, candidate, J, rest, total):
+        """Effect of columns (m, k); its value is the largest of k, of two the amplitude."""
+        Q, R = np.linalg.qr(J)
+        part, inverse = Q.T @ rest, np.linalg.inv(R)
+        white = max((float(rest @ rest) - float(part @ part)) / self._freedom, 1.0)
+        values, share = inverse @ part, float(part @ part) / total if total else 0.0
+        deviation = np.sqrt(white * np.sum(inverse**2, axis=1)).max()
+        value = values[0] if len(values) == 1 else np.linalg.norm(values) if len(values) == 2 else np.abs(values).max()
+        return Effect(candidate.text, float(value), float(deviation), candidate.unit, share)
 
-    def _columns(self):
-        """Texts, columns (N, c) and [(unit, size of the column before the projection)] of all effects."""
+    def _reduced(self, columns):
+        """(m,) residuals and (m, n) columns [[(N_s + z,)]], without what starts, delays and numbers explain.
+
+        And (n,) sizes of columns without what starts alone explain, or of the least that is not round-off.
+        """
+        parts = []
+        for k, (part, linear) in enumerate(zip(self._solution.parts, self._solution.linear)):
+            n, added, tie = len(part.rest), np.array([each[k] for each in columns]).T, part.tie
+            if tie:
+                tie = tie._replace(shared=np.hstack([tie.shared, linear.tie.gap @ added[n:]]))
+            parts.append(part._replace(shared=np.hstack([part.shared, added[:n]]), tie=tie))
+        chain, g = Chain(parts), len(self._solution.covariance)
+        before = [np.linalg.norm(np.concatenate(column)) for column in columns]
+        sizes = np.maximum(np.linalg.norm(chain.columns[:, g:], axis=0), HIDDEN_PART * np.array(before))
+        return chain.left[g:], chain.columns[g:, g:], sizes  # of a triangular factor
+
+    def _forces(self, wanted):
+        """[Candidate] of [(text, unit, [(kind, of, size)])] that need runs; without those whose runs fail."""
         fit, solution = self._fit, self._solution
-        forces = self._forces()
+        items = [item for _, _, items in wanted for item in items]
+        runs, found = iter(zip(items, fit.tasks(self._forced, items))), []
+        for text, unit, own in wanted:
+            columns = []
+            for (*_, size), other in islice(runs, len(own)):
+                if other is not None:
+                    parts = fit.beside(solution.outputs, other, solution.residuals)
+                    columns.append([part / size for part in parts])
+            if len(columns) == len(own):
+                found.append(Candidate(text, unit, columns))
+        return found
+
+    def _simple(self):
+        """[Candidate] of one column: forces, outputs and clocks."""
+        fit, solution = self._fit, self._solution
         outputs, residuals = solution.outputs, solution.residuals
-        runs = fit.tasks(_Forced(fit.runs, solution.point), [(kind, of, size) for _, _, kind, of, size in forces])
-        names, columns, units = [], [], []
-
-        def add(text, unit, parts):
-            names.append(text)
-            columns.append(self._projected(parts))
-            units.append((unit, float(np.linalg.norm(np.concatenate(parts)))))
-
-        for (text, unit, _, _, size), other in zip(forces, runs):
-            if other is not None:
-                add(text, unit, [part / size for part in fit.beside(outputs, other, residuals)])
+        found = self._forces([(text, unit, [tuple(item)]) for text, unit, *item in self._forces_of_scene()])
+        segments = fit.runs.segments(solution.point)
+        efforts = {each.name.removesuffix(".effort"): k for k, each in enumerate(fit.runs.log.inputs)}
         for t, each in enumerate(fit.runs.log.measured):
             for p, name in enumerate(each.channels):
-                offset = [self._only(rest, t, p, 1.0) for rest in residuals]
-                add(f"offset of {name} in {each.name}", "", offset)
-                scale = [self._only(rest, t, p, values[t][:, p]) for rest, values in zip(residuals, outputs)]
-                add(f"scale of {name} in {each.name}", "1", scale)
+                pairs, units = list(zip(residuals, outputs)), fit.runs.machine(solution.point.values).outputs[t].units
+                offset = [self._only(rest, t, p, 1.0, of[-1]) for rest, of in pairs]
+                found.append(Candidate(f"offset of {name} in {each.name}", units[p] or "", [offset]))
+                scale = [self._only(rest, t, p, of[t][:, p], of[-1]) for rest, of in pairs]
+                found.append(Candidate(f"scale of {name} in {each.name}", "1", [scale]))
+                joint, _, part = name.rpartition(".")
+                if part == "position" and joint in efforts:
+                    loads = [
+                        s.inputs[np.maximum(s.places[t] - 1, 0), efforts[joint]] for s in segments if len(s.inputs)
+                    ]
+                    if len(loads) == len(pairs):
+                        bent = [self._only(rest, t, p, load, of[-1]) for (rest, of), load in zip(pairs, loads)]
+                        found.append(Candidate(f"flexibility of {joint}", f"{units[p]}/(effort)", [bent]))
         known = np.flatnonzero(~fit.free)
         late = fit.late(solution.point, outputs, residuals, known)
         longest = max(last - first for first, last in fit.runs.log.spans)
         for k, t in enumerate(known):
             parts = [part[:, k] for part in late]
             if np.linalg.norm(np.concatenate(parts)) * longest > 1.0:  # else any delay fits
-                add(f"delay of {fit.runs.log.measured[t].name}", "s", parts)
-        return names, np.array(columns).T, units
+                found.append(Candidate(f"delay of {fit.runs.log.measured[t].name}", "s", [parts]))
+        return found
 
-    def _only(self, residuals, t, p, values):
-        """(N_s,) weighted change of one output."""
+    def _only(self, residuals, t, p, values, gap):
+        """(N_s + z,) weighted change of one output."""
         parts = [np.where(np.isfinite(part), 0.0, np.nan) for part in residuals]
         parts[t][:, p] += values
-        return self._fit.weighted(parts)
+        return np.concatenate([self._fit.weighted(parts), 0.0 * gap])
 
     @property
     def _weight(self):
@@ -287,7 +367,7 @@ class Effects:
                 found.append((joint, "N m" if turns else "N", SMALL * weight * (layout.size if turns else 1.0)))
         return found
 
-    def _forces(self):
+    def _forces_of_scene(self):
         """[(text, unit, kind, joint or body or number of an input, size)] of effects that need a run."""
         scene, log = self._machine.layout.scene, self._fit.runs.log
         found = []
@@ -296,6 +376,8 @@ class Effects:
             for text, unit, kind in (
                 ("dry friction of", effort, "coulomb"),
                 ("viscous friction of", f"{effort} s/{q}", "viscous"),
+                ("quadratic drag of", f"{effort} s^2/{q}^2", "drag"),
+                ("friction by load of", "m" if q == "rad" else "1", "by_load"),
                 ("constant effort at", effort, "constant"),
                 ("stiffness of", f"{effort}/{q}", "spring"),
                 ("rotor inertia of", "kg m^2" if q == "rad" else "kg", "armature"),
@@ -303,85 +385,13 @@ class Effects:
                 found.append((f"{text} {joint}", unit, kind, joint, load))
         for k, given in enumerate(log.inputs):
             if given.name.endswith(".effort"):
-                found.append((f"scale of {given.name}", "1", "scale", k, SMALL))
+                found.append((f"scale of {given.name}", "1", "scale", (k,), SMALL))
+                found += [
+                    (f"second-order lag of {given.name} by {1e3 * lag:g} ms", "1", "lag", (k, lag), SMALL)
+                    for lag in LAG_TIMES
+                ]
         small = SMALL * sum(body.mass for body in scene.bodies)
         found += [(f"mass of {body.name}", "kg", "mass", body.name, small) for body in scene.bodies]
         for body in floating(self._machine.layout):
             found += [(f"force on {body} along {axis}", "N", axis, body, SMALL * self._weight) for axis in AXES]
         return found
-
-
-class _Forced:
-    """Runs with an effect, as a function of (kind, joint or body or input, size); None where a run fails."""
-
-    def __init__(self, runs, point):
-        self._runs, self._point, self._paths = runs, point, {}
-
-    def __call__(self, item):
-        kind, of, size = item
-        machine = self._runs.machine(self._point.values)
-        found = []
-        try:
-            for segment, state in zip(self._runs.segments(self._point), self._point.states):
-                run, extra = segment, None
-                if kind == "scale":
-                    inputs = segment.inputs.copy()
-                    inputs[:, of] *= 1.0 + size
-                    run = replace(segment, inputs=inputs)
-                elif len(segment.inputs):
-                    extra = size * self._extra(machine, segment, state, kind, of)
-                found.append(machine.run(run, state, extra, halves=self._point.halves))
-        except SimulationError:
-            return None
-        return found
-
-    def _extra(self, machine, segment, state, kind, of):
-        """(m, n, COLUMNS) change of the wrenches in the parts of a Segment by an effect of unit size."""
-        path, steps = self._path(machine, segment, state), np.diff(segment.times)
-        if kind == "mass":
-            body = list(machine.layout.body_names).index(of)
-            # Of the frame at the centre of mass, in the middle of each part, body axes.
-            twist, turn = path.twists[:, body], path.poses[:, body, :9].reshape(-1, 3, 3)
-            w, v = 0.5 * (twist[1:, :3] + twist[:-1, :3]), 0.5 * (twist[1:, 3:] + twist[:-1, 3:])
-            a = np.diff(twist[:, 3:], axis=0) / steps[:, None] + np.cross(w, v)
-            change = np.zeros_like(path.wrenches)
-            change[:, body, 3:6] = np.array(machine.layout.scene.gravity) @ (0.5 * (turn[1:] + turn[:-1])) - a
-            return change
-        if kind in AXES:
-            body = list(machine.layout.body_names).index(of)
-            turn = path.poses[:, body, :9].reshape(-1, 3, 3)[:, AXES.index(kind)]
-            change = np.zeros_like(path.wrenches)
-            change[:, body, 3:6] = 0.5 * (turn[1:] + turn[:-1])
-            return change
-        if kind in PARTS:
-            joint, low, high = of
-            x = _middle(machine, path, joint)[:, PARTS.index(kind)]
-            return ((x >= low) & (x < high))[:, None, None] * machine.effort(joint)
-        q, v = path.joints[:, machine.layout.coordinates.names.index(of)].T
-        middle = 0.5 * (v[1:] + v[:-1])
-        amount = {
-            "coulomb": lambda: -np.sign(middle),
-            "viscous": lambda: -middle,
-            "constant": lambda: np.ones_like(middle),
-            "spring": lambda: -0.5 * (q[1:] + q[:-1]),
-            "armature": lambda: -np.diff(v) / steps,
-        }[kind]()
-        return amount[:, None, None] * machine.effort(of)
-
-    def _path(self, machine, segment, state):
-        """Path of the fitted run at all times of a Segment."""
-        key = segment.start
-        if key not in self._paths:
-            self._paths[key] = machine.path(segment, state, np.arange(len(segment.times)), halves=self._point.halves)
-        return self._paths[key]
-
-    def middles(self, joint):
-        """[(m, 2)] positions and velocities of a joint in the middle of the parts of each segment."""
-        machine = self._runs.machine(self._point.values)
-        pairs = zip(self._runs.segments(self._point), self._point.states)
-        return [_middle(machine, self._path(machine, *pair), joint) for pair in pairs]
-
-
-def _middle(machine, path, joint):
-    x = path.joints[:, machine.layout.coordinates.names.index(joint)]
-    return 0.5 * (x[1:] + x[:-1])

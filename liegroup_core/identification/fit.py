@@ -3,9 +3,9 @@
 
     minimise  sum over segments of | (measured - outputs) / deviation |^2  +  priors
 
-by the method of Levenberg and Marquardt. Starts belong to one segment each. Their columns are eliminated there by an
-orthogonal projection, so that the rest has as many unknowns as there are delays and numbers (variable projection). A
-segment does not have to continue where the one before it ends: an error of the model does not add up along the log.
+by the method of Levenberg and Marquardt. Starts of segments are free, or tied: then each segment starts where the one
+before ends, as in one run along the log (multiple shooting, Bock 1983), whatever the growth of differences in it. Ties
+are weighted rows. Starts are eliminated (chain.py), so that the rest has as many unknowns as delays and numbers.
 """
 
 import os
@@ -18,6 +18,7 @@ import scipy
 from liegroup_core.errors import SceneError, SimulationError
 from liegroup_core.threads import one_blas_thread
 
+from .chain import Chain, Part, Tie
 from .log import ENOUGH
 from .machine import Apart
 from .runs import CHANGE, LAG
@@ -25,6 +26,7 @@ from .runs import CHANGE, LAG
 UNSEEN = 1e-9  # relative singular value of a direction that no measurement shows
 HIDDEN = 1e-6  # the same of starts: columns of what nothing shows are round-off, 1e-7 of differences
 MOST_STEPS, MOST_TRIES = 40, 12
+ORDER = 4  # of the method of the runs
 SAME = 1e-7  # relative decrease of the sum of squares in the last step
 CLOSE = 0.01  # of the standard deviations: last step
 AS_TOLD = 0.1  # relative difference between decreases, expected and found, up to which columns serve again
@@ -39,32 +41,61 @@ class Solution:
 
     point      : Unknowns
     residuals  : [[(r, p)]] of each segment and Measured, measured minus outputs, NaN where nothing was measured
-    outputs    : [[(r, p)]]
-    left       : (N,) weighted residuals without what changes of the starts explain
-    columns    : (N, g) changes of the weighted outputs with the free delays, then the numbers by their scales, likewise
-    bases      : [(N_s, c)] orthonormal directions of the weighted outputs that changes of each start give
+    outputs    : [[(r, p)]], and gaps (z,) to the next start
+    chain      : Chain of the columns of the weighted outputs, with free delays, then numbers by their scales
     growth     : largest change of an output with a start that changes by 1 rad or the mechanism's size, by the spread
                  of the output; of outputs that show a motion
     converged  : whether the last step was small
-    linear     : [((N_s, c), (N_s, g))] changes of the weighted outputs with each start, and with delays and numbers
+    linear     : [Part] without gaps
     deviation  : [(p,)] of the weights
+    slack      : of ties, see `Fit.solve`
     """
 
     point: object
     residuals: list
     outputs: list
-    left: np.ndarray
-    columns: np.ndarray
-    bases: list
+    chain: Chain
     growth: float
     converged: bool
     linear: list
     deviation: list
+    slack: float | None
+
+    @property
+    def parts(self):
+        """[Part] with gaps."""
+        return _at(self.linear, [part.rest for part in self.linear], self.outputs, self.slack)
 
     @property
     def covariance(self):
         """(g, g) of free delays in s, then of numbers by their scales; infinite variances where nothing shows them."""
-        return covariance(self.columns)
+        return covariance(self.chain.columns)
+
+    @property
+    def freedom(self):
+        """Degrees of freedom."""
+        return max(self.count - self.unknowns, 1)
+
+    @property
+    def reduced(self):
+        """Sum of the squares of the weighted residuals by the degrees of freedom."""
+        return float(self.chain.left @ self.chain.left) / self.freedom
+
+    @property
+    def count(self):
+        """Number of measurements."""
+        return sum(int(np.isfinite(part).sum()) for parts in self.residuals for part in parts)
+
+    @property
+    def unknowns(self):
+        """Number of unknowns: starts that are not tied, delays and numbers."""
+        return sum(self.linear[k].own.shape[1] for k in self.firsts) + self.chain.columns.shape[1]
+
+    @property
+    def firsts(self):
+        """Numbers of segments whose starts are not tied to the segment before: one run begins there."""
+        before = [None, *(part.tie for part in self.linear[:-1])]
+        return [k for k, tie in enumerate(before) if tie is None or self.slack is None]
 
 
 def covariance(columns):
@@ -104,23 +135,24 @@ class Fit:
         self.apart = [Apart(outputs) for outputs in runs.machine(runs.numbers.values).outputs]
 
     @one_blas_thread()
-    def solve(self, point, same=SAME, known=None):
+    def solve(self, point, same=SAME, known=None, slack=None):
         """Solution from Unknowns on. Raises SimulationError if the run of the point fails.
 
         same  : relative decrease of the sum of squares in the last step, unless it is small against the noise
         known : Solution nearby, with the same segments and perhaps other weights; None: none
+        slack : of ties, by what one segment for itself shows of its start; None: starts are free
         """
-        damping, columns, outputs = 0.0, self._linear_of(known), self.runs.base(point)
+        damping, columns, outputs = 0.0, self.linear_of(known), self.runs.base(point)
         for _ in range(MOST_STEPS):
-            residuals = self.residuals(point, outputs)
-            cost, rest = self.cost(point, residuals), [self.weighted(one) for one in residuals]
+            rest = [self.weighted(one) for one in self.residuals(point, outputs)]
             # Columns of an earlier point serve as long as steps with them are good; the last ones are of the end.
-            is_new = columns is None or [len(r) for r in rest] != [len(J_x) for J_x, _ in columns]
+            is_new = columns is None or [len(r) for r in rest] != [len(part.rest) for part in columns]
             if is_new:
-                columns = [(J_x, J_g) for _, J_x, J_g in self._linear(point, outputs, residuals)]
-            parts = [(r, *each) for r, each in zip(rest, columns)]
+                columns = self._linear(point, outputs)
+            parts = _at(columns, rest, outputs, slack)
+            cost = self.cost(point, parts)
             for _ in range(MOST_TRIES if is_new else 1):
-                other, trial, lower, share, is_small = self._tried(point, parts, damping)
+                other, trial, lower, share, is_small = self._tried(point, columns, parts, damping, slack)
                 is_better = lower <= cost * (1.0 + ROUND_OFF)
                 if is_better or is_small:
                     break
@@ -130,28 +162,30 @@ class Fit:
                 point, outputs, damping = other, trial, 0.0 if damping < LEAST_DAMPING else 0.1 * damping
             is_as_told = abs(cost - lower - share * cost) <= AS_TOLD * share * cost
             if ends and (is_new or is_small or is_as_told):
-                return self._solution(point, outputs, columns, bool(np.isfinite(lower)))
+                return self.solution(point, outputs, columns, slack, bool(np.isfinite(lower)))
             if not is_as_told:
                 columns = None
-        return self._solution(point, outputs, None, False)
+        return self.solution(point, outputs, None, slack, False)
 
-    def _linear_of(self, known):
+    def linear_of(self, known):
         """Columns of a Solution with the present weights."""
         if known is None:
             return None
         found = []
-        for one, pair in zip(known.residuals, known.linear):
-            factors = [np.tile(old / new, len(part)) for old, new, part in zip(known.deviation, self.deviation, one)]
-            found.append(tuple(np.concatenate(factors)[:, None] * J for J in pair))
+        for one, part in zip(known.residuals, known.linear):
+            factors = [np.tile(old / new, len(each)) for old, new, each in zip(known.deviation, self.deviation, one)]
+            rows = np.concatenate(factors)[:, None]
+            found.append(part._replace(own=rows * part.own, shared=rows * part.shared))
         return found
 
-    def _tried(self, point, parts, damping):
+    def _tried(self, point, columns, parts, damping, slack):
         """(Unknowns, outputs, cost, inf: none, expected share of its decrease, whether it is small) after a step."""
         changes, step, share, is_small = self._step(point, parts, damping)
         try:
-            other = self._moved(point, changes, step)
+            other = self.moved(point, changes, step)
             outputs = self.runs.base(other)
-            return other, outputs, self.cost(other, self.residuals(other, outputs)), share, is_small
+            rest = [self.weighted(one) for one in self.residuals(other, outputs)]
+            return other, outputs, self.cost(other, _at(columns, rest, outputs, slack)), share, is_small
         except (SimulationError, SceneError):
             return point, None, np.inf, share, is_small
 
@@ -165,57 +199,31 @@ class Fit:
             is_less = (own < self.deviation[t]) & (np.isfinite(each.values).sum(axis=0) > ENOUGH)
             self.deviation[t] = np.where(is_less, own, self.deviation[t])
 
-    def columns(self, point):
-        """[(N_s, c)] changes of the weighted outputs with starts, delays and numbers, for each segment."""
-        outputs = self.runs.base(point)
-        parts = self._linear(point, outputs, self.residuals(point, outputs))
-        return [np.hstack(columns) for _, *columns in parts]
-
-    def at(self, point):
-        """Solution at Unknowns, without a step."""
-        return self._solution(point, self.runs.base(point), None, True)
-
     def bases(self, point):
         """[(N_s, c)] orthonormal directions of the weighted outputs that changes of each start give."""
-        outputs = self.runs.base(point)
-        parts = self._linear(point, outputs, self.residuals(point, outputs), starts_only=True)
-        return [_range(J_x) for _, J_x, _ in parts]
+        return [_range(part.own) for part in self._linear(point, self.runs.base(point), starts_only=True)]
 
     def left(self, point, bases):
         """(N,) weighted residuals of Unknowns without their parts in bases. Raises SimulationError."""
         residuals = self.residuals(point, self.runs.base(point))
         return np.concatenate([without(U, self.weighted(one)) for U, one in zip(bases, residuals)])
 
-    def _solution(self, point, outputs, columns, converged):
-        """Solution at Unknowns, with columns [(J_x, J_g)] of one nearby, or None."""
+    def solution(self, point, outputs=None, columns=None, slack=None, converged=True):
+        """Solution at Unknowns, without a step; outputs, columns [Part]: of it, or of one nearby, None: not known."""
+        outputs = self.runs.base(point) if outputs is None else outputs
         residuals = self.residuals(point, outputs)
         rest = [self.weighted(one) for one in residuals]
-        if columns is None or [len(r) for r in rest] != [len(J_x) for J_x, _ in columns]:
-            columns = [(J_x, J_g) for _, J_x, J_g in self._linear(point, outputs, residuals)]
-        left, others, bases, growth = [], [], [], 0.0
-        parts = [
-            np.divide(sigma, each.spread, out=np.zeros_like(sigma), where=each.spread > MOVES * sigma)
-            for sigma, each in zip(self.deviation, self._log)
-        ]
-        for r, one, (J_x, J_g) in zip(rest, residuals, columns):
-            size = np.concatenate([np.tile(part, len(values)) for part, values in zip(parts, one)])
-            growth = max(growth, np.abs(size[:, None] * J_x).max(initial=0.0))
-            U = _range(J_x)
-            left.append(without(U, r))
-            others.append(without(U, J_g))
-            bases.append(U)
-        return Solution(
-            point,
-            residuals,
-            outputs,
-            np.concatenate(left),
-            np.vstack(others),
-            bases,
-            growth,
-            converged,
-            columns,
-            list(self.deviation),
-        )
+        if columns is None or [len(r) for r in rest] != [len(part.rest) for part in columns]:
+            columns = self._linear(point, outputs)
+        sizes, growth = [], 0.0
+        for sigma, each in zip(self.deviation, self._log):
+            sizes.append(np.divide(sigma, each.spread, out=np.zeros_like(sigma), where=each.spread > MOVES * sigma))
+        for one, part in zip(residuals, columns):
+            size = np.concatenate([np.tile(of, len(values)) for of, values in zip(sizes, one)])
+            growth = max(growth, np.abs(size[:, None] * part.own).max(initial=0.0))
+        columns = [part._replace(rest=r) for part, r in zip(columns, rest)]
+        chain = Chain(_at(columns, rest, outputs, slack))
+        return Solution(point, residuals, outputs, chain, growth, converged, columns, list(self.deviation), slack)
 
     def residuals(self, point, outputs):
         """[[(r, p)]] measured minus outputs."""
@@ -235,23 +243,41 @@ class Fit:
         rows = [np.nan_to_num(part / sigma).ravel() for part, sigma in zip(parts, self.deviation)]
         return np.concatenate(rows)
 
-    def cost(self, point, residuals):
-        """Mean square of the weighted residuals, with the priors; inf if delays move all measurements away."""
-        total = sum(float(np.sum(self.weighted(parts) ** 2)) for parts in residuals)
-        count = sum(int(np.isfinite(part).sum()) for parts in residuals for part in parts)
-        return (total + float(np.sum(self._prior(point) ** 2))) / count if count else np.inf
+    def cost(self, point, parts):
+        """Sum of the squares of the weighted residuals, of the gaps, and of priors, by the count of the former.
+
+        inf if delays move all measurements away.
+        """
+        total = sum(_square(part) for part in parts) + float(np.sum(self._prior(point) ** 2))
+        count = sum(len(part.rest) for part in parts)
+        return total / count if count else np.inf
+
+    def numerics(self, point, outputs=None):
+        """[[(r, p)]] estimated errors of the integration, from steps of half the size; outputs: None: not known."""
+        outputs = self.runs.base(point) if outputs is None else outputs
+        finer, size = self.runs.base(replace(point, halves=point.halves + 1)), 2**ORDER / (2**ORDER - 1)
+        return [[size * apart(*pair) for apart, *pair in zip(self.apart, *both)] for both in zip(outputs, finer)]
+
+    def distance(self, point):
+        """Mean square of the weighted residuals of Unknowns; inf if a run fails."""
+        try:
+            rest = np.concatenate([self.weighted(one) for one in self.residuals(point, self.runs.base(point))])
+        except SimulationError:
+            return np.inf
+        return float(rest @ rest) / max(len(rest), 1)
 
     def _prior(self, point):
         """(q,) deviations of the numbers from their priors."""
         return (self.priors[:, 0] - point.values) / self.priors[:, 1]
 
     def beside(self, outputs, other, residuals):
-        """[(N_s,)] changes of the weighted outputs between two runs; 0 where nothing was measured, or did not run."""
+        """[(N_s + z,)] changes of weighted outputs and gaps between two runs; 0 where nothing was measured or ran."""
         found = []
         for base, values, rest in zip(outputs, other, residuals):
-            parts = zip(self.apart, base, base if values is None else values, rest)
+            values = base if values is None else values
+            parts = zip(self.apart, base, values, rest)
             changes = [np.where(np.isfinite(r), apart(b, a), 0.0) for apart, a, b, r in parts]
-            found.append(self.weighted(changes))
+            found.append(np.concatenate([self.weighted(changes), values[-1] - base[-1]]))
         return found
 
     def tasks(self, function, items):
@@ -260,12 +286,11 @@ class Fit:
             return [function(item) for item in items]
         return list(self._team.map(function, items))
 
-    def _linear(self, point, outputs, residuals, starts_only=False):
-        """For each segment weighted residuals (N_s,), columns of its start (N_s, c), and of delays and numbers."""
-        runs = self.runs
-        scales = [scales for scales, *_ in runs.starts(point)]
-        most = max(map(len, scales))
+    def _linear(self, point, outputs, starts_only=False):
+        """[Part] of segments: columns with starts, delays and numbers; gaps of their ties are linear maps of z."""
+        runs, residuals = self.runs, self.residuals(point, outputs)
         count = 0 if starts_only else len(runs.numbers)
+        most = max(len(scales) for scales, *_ in runs.starts(point))
         items = [("start", k) for k in range(most)] + [("number", k) for k in range(count)]
         found = [
             [factor * part for part in self.beside(outputs, other, residuals)]
@@ -273,28 +298,35 @@ class Fit:
         ]
         clocks = np.zeros(0, dtype=int) if starts_only else np.flatnonzero(self.free)
         late = self.late(point, outputs, residuals, clocks)
+        rests, sizes = [self.weighted(one) for one in residuals], [len(of[-1]) for of in outputs]
+        across, columns = runs.across(point), []
+        for s, (r, z, D) in enumerate(zip(rests, sizes, across)):
+            own = np.reshape([column[s] for column in found[: len(D)]], (len(D), len(r) + z)).T
+            numbers = np.reshape([column[s] for column in found[most:]], (count, len(r) + z)).T
+            columns.append((own, np.hstack([late[s], numbers])))
+        seen = [1.0 + np.linalg.norm(J[: len(r)], axis=0) for r, (J, _) in zip(rests, columns)]
         parts = []
-        for s, one in enumerate(residuals):
-            r = self.weighted(one)
-            J = np.array([column[s] for column in found]).reshape(len(found), len(r)).T
-            parts.append((r, J[:, : len(scales[s])], np.hstack([late[s], J[:, most:]])))
+        for s, (r, z, (J, G)) in enumerate(zip(rests, sizes, columns)):
+            n, D = len(r), across[s + 1] if z else None
+            parts.append(Part(r, J[:n], G[:n], Tie(D @ J[n:], D @ G[n:], D, seen[s + 1]) if z else None))
         return parts
 
     def late(self, point, outputs, residuals, clocks):
-        """[(N_s, d)] changes of the weighted outputs with the delays of some clocks (d,), per s.
+        """[(N_s + z, d)] changes of the weighted outputs and gaps with the delays of some clocks (d,), per s.
 
         Starts are late by the mean of the delays. So a delay d of one of T clocks makes its measurements d earlier, and
         all starts d / T, with respect to which all inputs are later.
         """
         if not len(clocks):
-            return [np.zeros((len(self.weighted(one)), 0)) for one in residuals]
+            return [np.zeros((len(self.weighted(one)) + len(of[-1]), 0)) for one, of in zip(residuals, outputs)]
         everything = self.tasks(Change(self.runs, point), [("time", 0), ("time", 1)])
         rates, alike = (
             [factor * part for part in self.beside(outputs, other, residuals)] for factor, other in everything
         )
         part, found = 1.0 / len(self.deviation), []
         for rate, shift, one in zip(rates, alike, residuals):
-            owner = np.repeat(np.arange(len(one)), [rest.size for rest in one])
+            sizes = [rest.size for rest in one]
+            owner = np.repeat([*range(len(one)), -1], [*sizes, len(rate) - sum(sizes)])
             found.append(np.array([part * (rate - shift) - rate * (owner == t) for t in clocks]).T)
         return found
 
@@ -304,58 +336,44 @@ class Fit:
         Changes [(c,)] of the starts by their scales, (g,) of delays and numbers, by which share the sum of squares
         would decrease if outputs were linear, and whether all changes are small.
         """
-        q = len(self.runs.numbers)
-        g = parts[0][2].shape[1]
-        eliminated, rows, right = [], [], []
-        for r, J_x, J_g in parts:
-            sizes = np.linalg.norm(J_x, axis=0)
-            more = np.sqrt(damping) * np.diag(np.maximum(sizes, 1e-300)) if damping else np.zeros((0, len(sizes)))
-            A = np.vstack([J_x, more])
-            U, singular, V = np.linalg.svd(A, full_matrices=False)
-            good = singular > HIDDEN * singular[:1].max(initial=0.0)
-            U, singular, V = U[:, good], singular[good], V[good]
-            U = U[: len(r)]
-            eliminated.append((U, singular, V))
-            rows.append(without(U, J_g))
-            right.append(without(U, r))
+        q, chain = len(self.runs.numbers), Chain(parts, damping)
+        g = chain.columns.shape[1]
         step = np.zeros(g)
         if g:
-            J, r = np.vstack(rows), np.concatenate(right)
-            sizes = np.linalg.norm(J, axis=0)
             scales = self.runs.numbers.scales
             prior = np.zeros((q, g))
             prior[:, g - q :] = np.diag(scales / self.priors[:, 1])
-            J = np.vstack([J, prior, np.sqrt(damping) * np.diag(sizes)])
-            r = np.concatenate([r, self._prior(point), np.zeros(g)])
+            J = np.vstack([chain.columns, prior, np.sqrt(damping) * np.diag(np.linalg.norm(chain.columns, axis=0))])
+            r = np.concatenate([chain.left, self._prior(point), np.zeros(g)])
             low, high = np.full(g, -np.inf), np.full(g, np.inf)
             low[g - q :], high[g - q :] = ((limit - point.values) / scales for limit in self.limits.T)
             sizes = np.linalg.norm(J, axis=0)
             seen = sizes > UNSEEN * sizes.max(initial=0.0)
-            R = np.linalg.qr(np.column_stack([J[:, seen] / sizes[seen], r]), mode="r")
-            A, b = R[:, :-1], R[:, -1]
-            found = np.linalg.lstsq(A, b, rcond=UNSEEN)[0]
+            A = J[:, seen] / sizes[seen]
+            found = np.linalg.lstsq(A, r, rcond=UNSEEN)[0]
             limits = low[seen] * sizes[seen], high[seen] * sizes[seen]
             if (found < limits[0]).any() or (found > limits[1]).any():
-                found = scipy.optimize.lsq_linear(A, b, limits, method="bvls").x
+                found = scipy.optimize.lsq_linear(A, r, limits, method="bvls").x
             step[seen] = found / sizes[seen]
-        changes, small, expected = [], True, 0.0
-        spread = np.sqrt(sum(float(r @ r) for r in right) / max(sum(map(len, right)), 1))
-        for (r, _, J_g), (U, singular, V) in zip(parts, eliminated):
-            rest = r - J_g @ step
-            part = U.T @ rest
-            rest -= U @ part
-            expected += float(rest @ rest)
-            small = small and bool(np.abs(part).max(initial=0.0) < CLOSE * spread)
-            changes.append(V.T @ (part / singular))
-        if g:
-            small = small and bool((np.abs(step) * np.linalg.norm(np.vstack(rows), axis=0) < CLOSE * spread).all())
+        changes = chain.starts(step)
+        ahead = [changes[s + 1] if part.tie else None for s, part in enumerate(parts)]
+        expected = sum(_square(part, change, step, after) for part, change, after in zip(parts, changes, ahead))
+        count = max(sum(len(part.rest) for part in parts), 1)
+        small = CLOSE * np.sqrt(chain.left @ chain.left / count)
+        is_small = all(np.linalg.norm(part.own @ change) < small for part, change in zip(parts, changes))
+        is_small = is_small and bool((np.abs(step) * np.linalg.norm(chain.columns, axis=0) < small).all())
         at_end = self._prior(replace(point, values=point.values + step[g - q :] * self.runs.numbers.scales))
-        total = sum(float(r @ r) for r, *_ in parts) + float(np.sum(self._prior(point) ** 2))
+        total = sum(map(_square, parts)) + float(np.sum(self._prior(point) ** 2))
         share = 1.0 - (expected + float(np.sum(at_end**2))) / total if total else 0.0
-        return changes, step, share, small
+        return changes, step, share, is_small
 
-    def _moved(self, point, changes, step):
-        """Unknowns after a step."""
+    def apart_from(self, point, other):
+        """(g,) step of delays and numbers from Unknowns to others."""
+        numbers = (other.values - point.values) / self.runs.numbers.scales
+        return np.concatenate([(other.delays - point.delays)[self.free], numbers])
+
+    def moved(self, point, changes, step):
+        """Unknowns after changes [(c,)] of the starts by their scales, and of delays and numbers (g,)."""
         runs = self.runs
         scaled = [change * scales for (scales, *_), change in zip(runs.starts(point), changes)]
         q, free = len(runs.numbers), np.flatnonzero(self.free)
@@ -383,6 +401,27 @@ class Change:
             return 1.0 / LAG, self._runs.beside_times(self._point, k)
         way, found = self._runs.beside_number(self._point, k)
         return way / CHANGE, found
+
+
+def _at(columns, rest, outputs, slack):
+    """[Part] of columns [Part] with weighted residuals [(N_s,)] and the gaps of outputs; slack: as of `Fit.solve`."""
+    found = []
+    for part, r, of in zip(columns, rest, outputs):
+        tie = part.tie if slack is not None else None
+        if tie:
+            tie = tie._replace(gap=tie.gap @ of[-1], weights=tie.weights / slack)
+        found.append(part._replace(rest=r, tie=tie))
+    return found
+
+
+def _square(part, change=None, step=None, after=None):
+    """Sum of the squares of a Part after changes of its start, of what is shared, and of the next start; None: none."""
+    rest, gap = part.rest, part.tie.gap if part.tie else 0.0
+    if change is not None:
+        rest = rest - part.own @ change - part.shared @ step
+        gap = gap + part.tie.own @ change + part.tie.shared @ step - after if part.tie else 0.0
+    weighted = part.tie.weights * gap if part.tie else np.zeros(0)
+    return float(rest @ rest + weighted @ weighted)
 
 
 def without(U, x):

@@ -15,7 +15,7 @@ import scipy
 from liegroup_core.errors import SimulationError
 from liegroup_core.threads import one_blas_thread
 
-from .fit import HIDDEN
+from .chain import SHOWN
 
 STARTS = 12  # of runs, at most, of which each recording has one
 FIRST = 5  # measurements after which the first interval ends
@@ -23,7 +23,6 @@ RATIO = 1.25  # of successive times ahead
 LEVEL = 0.01  # probability of the verdict "differs" for a right model
 NOISY = 1.5  # noise is not larger than an error that serves by less
 TENTH = 0.1  # of the spread of an output: the size of an error that still serves
-ORDER = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +37,7 @@ class Horizon:
     numerical : (h,) rms of the estimated error of the integration
     starts, counts : (h,) number of runs, and of measurements
     useful    : an error that still serves, a tenth of the spread of the output, rounded
+    level     : probability of "differs" for a right model: of several outputs a share
     run       : of the longest run (r,) times in s, measured, predicted, and standard deviations of what is explained
     """
 
@@ -53,6 +53,7 @@ class Horizon:
     counts: np.ndarray
     useful: float
     run: tuple
+    level: float = LEVEL
 
     def within(self, size):
         """Time in s up to which the rms of the predictions is at most `size`, or (h,) sizes; 0: never."""
@@ -80,7 +81,7 @@ class Horizon:
         with np.errstate(invalid="ignore"):
             squares = self.starts * (self.error / self.expected) ** 2
         chance = scipy.stats.chi2.sf(np.nan_to_num(squares), np.maximum(self.starts, 1))
-        off = np.flatnonzero(chance < LEVEL / max(len(self.ahead), 1))
+        off = np.flatnonzero(chance < self.level / max(len(self.ahead), 1))
         return float(self.ahead[off[0]]) if len(off) else np.inf
 
     @property
@@ -98,22 +99,26 @@ class Horizon:
 
 
 @one_blas_thread()
-def horizons(fit, solution):
-    """[Horizon] of the outputs of a Solution; none where no run goes on."""
-    owners = _starts(fit, solution)
+def horizons(fit, near, solution):
+    """[Horizon] of the outputs of a Solution; none where no run goes on.
+
+    near : Solution whose segments are free: runs begin at their starts, as they are with the numbers of the other one
+    """
+    runs, step = fit.runs, fit.apart_from(near.point, solution.point)
+    shared = np.nan_to_num(solution.covariance, posinf=0.0)
+    known = near.chain.covariances(shared)
+    changes = [a - b for a, b in zip(near.chain.starts(step), near.chain.starts(0.0 * step))]
+    moved = fit.moved(near.point, changes, step)
+    owners, outputs = _starts(fit, near, moved, known)
     if not owners:
         return []
-    point, runs = _long(fit, solution.point, owners), fit.runs
-    kinds = [outputs.units for outputs in runs.machine(point.values).outputs]
-    outputs = runs.base(point)
+    point = _long(fit, moved, owners)
+    kinds = [each.units for each in runs.machine(point.values).outputs]
     residuals = fit.residuals(point, outputs)
-    explained = _explained(fit, solution, point, outputs, residuals, owners)
-    finer = runs.base(replace(point, halves=point.halves + 1))
-    found = []
+    explained = _explained(fit, near, outputs, [(k, known[k]) for k in owners])
+    numerical, found = fit.numerics(point, outputs), []
     for t, each in enumerate(runs.log.measured):
         times = [s.times[s.places[t]] - s.start for s in runs.segments(point)]
-        # Errors of the steps, from those of half the size.
-        numeric = [fit.apart[t](a[t], b[t]) * 2**ORDER / (2**ORDER - 1) for a, b in zip(outputs, finer)]
         last = max((at[-1] for at in times if len(at)), default=0.0)
         first = FIRST * float(np.median(np.diff(each.times))) if len(each.times) > 1 else last
         count = int(np.log(max(last / max(first, 1e-9), 1.0)) / np.log(RATIO))
@@ -121,13 +126,12 @@ def horizons(fit, solution):
         for p, name in enumerate(each.channels):
             longest = max(range(len(times)), key=lambda k: times[k][-1] if len(times[k]) else 0.0)
             run = _run(runs.segments(point)[longest], each, t, p, *(of[longest] for of in (outputs, explained)))
-            parts = [[part[t][:, p] for part in of] for of in (residuals, explained)]
-            parts.append([part[:, p] for part in numeric])
+            parts = [[part[t][:, p] for part in of] for of in (residuals, explained, numerical)]
             sigma = float(fit.deviation[t][p])
             rows = _rows(ends, times, *parts)
             useful = _rounded(TENTH * float(each.spread[p]))
             found.append(Horizon(name, each.name, kinds[t][p], sigma, *rows.T, useful, run))
-    return [each for each in found if len(each.ahead)]
+    return [replace(each, level=LEVEL / len(found)) for each in found if len(each.ahead)]
 
 
 def _run(segment, measured, t, p, outputs, explained):
@@ -143,6 +147,11 @@ def _rows(ends, times, rest, explained, numeric):
     rows = []
     for k, end in enumerate(ends):
         here = (place == k) & np.isfinite(rest)
+        for run in np.unique(of[here]):
+            # The time of an impact may be on the other side of one measurement.
+            own = np.flatnonzero(here & (of == run))
+            if len(own) > 2:
+                here[own[np.abs(rest[own]).argmax()]] = False
         if here.any():
             sizes = (np.sqrt(np.mean(part[here] ** 2)) for part in (rest, explained, numeric))
             rows.append((end, *sizes, len(np.unique(of[here])), here.sum()))
@@ -157,54 +166,55 @@ def _rounded(size):
     return float(f"{min((1.0, 2.0, 5.0, 10.0), key=lambda digit: abs(np.log(size / power / digit))) * power:.1g}")
 
 
-def _starts(fit, solution):
-    """Numbers of segments of a Solution from whose starts runs go on to the ends of their recordings."""
-    bounds, found = solution.point.bounds, []
+def _starts(fit, near, point, known):
+    """Numbers of segments from whose starts, in Unknowns, runs go on to the ends of their recordings, and outputs."""
+    bounds, found, outputs = point.bounds, [], []
+    shown = np.array([(np.diag(P)[: part.own.shape[1]] <= SHOWN).sum() for part, P in zip(near.linear, known)])
     for first, last in fit.runs.log.spans:
         own = np.flatnonzero((bounds[:, 0] >= first - 1e-6) & (bounds[:, 0] < last))
-        known = np.array([_rank(solution.linear[k][0]) for k in own])
-        own = own[known == known.max(initial=0)]  # of the others no measurement shows all
+        own = own[shown[own] == shown[own].max(initial=0)]  # of the others no measurement shows all
         share = max(1, STARTS // len(fit.runs.log.spans))
         for k in own[np.unique(np.linspace(0, len(own) - 1, min(share, len(own))).astype(int))] if len(own) else ():
             try:
-                fit.runs.base(_long(fit, solution.point, [k]))
+                outputs += fit.runs.base(_long(fit, point, [k]))
             except SimulationError:
                 continue
             found.append(k)
-    return found
+    return found, outputs
 
 
 def _long(fit, point, numbers):
-    """Unknowns with runs from some segments to the ends of their recordings."""
-    firsts = point.bounds[numbers, 0]
-    ends = [next(last for first, last in fit.runs.log.spans if first - 1e-6 <= at < last) + 1e-6 for at in firsts]
+    """Unknowns with runs from some segments to the ends of their recordings, or of the segments in them."""
+    firsts, lasts = point.bounds[numbers, 0], point.bounds[:, 1]
+    spans = [next((first, last) for first, last in fit.runs.log.spans if first - 1e-6 <= at < last) for at in firsts]
+    ends = [lasts[lasts <= last + 2e-6].max() for _, last in spans]
     return replace(point, bounds=np.column_stack([firsts, ends]), states=tuple(point.states[k] for k in numbers))
 
 
-def _rank(J):
-    """Number of directions of a start that its segment shows."""
-    singular = np.linalg.svd(J, compute_uv=False)
-    return int((singular > HIDDEN * singular.max(initial=0.0)).sum())
+def _explained(fit, near, outputs, owners):
+    """[[(r, p)]] standard deviations of outputs by the uncertainty of starts, delays and numbers; inf: not linear.
 
-
-def _explained(fit, solution, point, outputs, residuals, owners):
-    """[[(r, p)]] standard deviations of outputs by the uncertainty of starts, delays and numbers; inf: not linear."""
-    found, shared = [], np.nan_to_num(solution.covariance, posinf=0.0)
-    for parts, (J, G), one, (_, O_x, O_g) in zip(
-        outputs, (solution.linear[k] for k in owners), residuals, fit._linear(point, outputs, residuals)
-    ):
-        U, singular, V = np.linalg.svd(J, full_matrices=False)
-        seen = np.arange(len(singular)) < _rank(J)
-        own = O_x @ V[seen].T / singular[seen]
-        hidden = np.linalg.norm(O_x - O_x @ V[seen].T @ V[seen], axis=1) > HIDDEN * np.linalg.norm(O_x, axis=1)
-        of_shared = O_g - own @ U[:, seen].T @ G
-        variances = np.sum(own**2, axis=1) + np.einsum("ki,ij,kj->k", of_shared, shared, of_shared)
-        deviations, at = [], 0
-        for t, rest in enumerate(one):
-            size = rest.size
-            here = np.sqrt(np.where(hidden, np.inf, variances))[at : at + size].reshape(rest.shape) * fit.deviation[t]
+    Along the segments of a Solution; owners : [(number of a start, covariance of it and of what is shared)]
+    """
+    found = []
+    for (k, P), own in zip(owners, outputs):
+        variances = [[] for _ in own[:-1]]
+        while True:
+            part, tie = near.linear[k], near.linear[k].tie
+            J = np.hstack([part.own, part.shared])
+            rows, at = np.einsum("ki,ij,kj->k", J, P, J), 0
+            for parts, rest in zip(variances, near.residuals[k]):
+                parts.append(rows[at : at + rest.size].reshape(rest.shape))
+                at += rest.size
+            if tie is None:
+                break
+            on = np.vstack([np.hstack([tie.own, tie.shared]), np.eye(len(P))[part.own.shape[1] :]])
+            P, k = on @ P @ on.T, k + 1
+        deviations = []
+        for t, (parts, of) in enumerate(zip(variances, own)):
+            here = np.sqrt(np.vstack(parts)) * fit.deviation[t]
             spread = fit.runs.log.measured[t].spread
-            deviations.append(np.where(here < np.maximum(spread, fit.deviation[t]), here, np.inf))
-            at += size
+            here = np.where(here < np.maximum(spread, fit.deviation[t]), here, np.inf)
+            deviations.append(here[: len(of)])
         found.append(deviations)
     return found

@@ -5,10 +5,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .comparison import LENGTH, Comparison, fitted, judged
+from .comparison import Comparison, fitted, fixed, judged, tied
 from .contradictions import channel_fits
 from .fit import Fit
-from .runs import Runs
+from .fit import covariance as covariance_of
+from .log import ENOUGH
 from .starts import first_states
 
 ROUNDS = 3  # of fits, with the noise of the residuals of the one before
@@ -47,32 +48,40 @@ class Identification:
         return np.stack([self.values - half, self.values + half], axis=1)
 
 
-def identify(scene, log, names, limits=None, priors=None, length=LENGTH, held_out=0.0, workers=None):
+def identify(scene, log, names, limits=None, priors=None, held_out=0.0, workers=None):
     """Identification of numbers of a scene.
 
     names    : as `liegroup_sim sweep --vary` takes them
     limits   : (q, 2) least and largest values; None: none
     priors   : (q, 2) expected values and standard deviations, inf: none
-    length   : s, of the segments, each of which has a start of its own
     held_out : share of the segments, at the end, that only validate
     Raises SceneError, ParameterError, SimulationError.
     """
-    fit, solution, left = fitted(scene, log, names, length, workers, limits, priors, held_out)
-    solution = fit.solve(solution.point, known=solution)
-    given = [np.isfinite(each.deviation) for each in log.measured]
-    for _ in range(ROUNDS - 1):
-        noise = _noise(fit, solution, given)
-        if max(np.abs(new / old - 1.0).max(initial=0.0) for new, old in zip(noise, fit.deviation)) < 0.02:
+    fit, near, solution, left = fitted(scene, log, names, workers, limits, priors, held_out)
+    given, weighted = [np.isfinite(each.deviation) for each in log.measured], fit
+    for _ in range(ROUNDS):
+        solution = weighted.solve(solution.point, known=solution, slack=solution.slack)
+        noise = _noise(weighted, solution, given)
+        if max(np.abs(new / old - 1.0).max(initial=0.0) for new, old in zip(noise, weighted.deviation)) < 0.02:
             break
-        fit = Fit(fit.runs, noise, fit.free, fit.limits, fit.priors, workers)
-        solution = fit.solve(solution.point, known=solution)
+        weighted = Fit(fit.runs, noise, fit.free, fit.limits, fit.priors, workers)
     d, numbers = int(fit.free.sum()), fit.runs.numbers
     q = len(numbers)
-    comparison = judged(fit, solution)
-    wide = solution.columns
+    # Weights are those of the residuals. A model is judged by the noise that a smooth motion leaves, if enough values
+    # show that.
+    for t, each in enumerate(fit.runs.log.measured):
+        few = np.isfinite(each.values).sum(axis=0) < ENOUGH + 3
+        fit.deviation[t] = np.where(few, weighted.deviation[t], fit.deviation[t])
+    comparison = judged(
+        fit, near, fit.solution(solution.point, solution.outputs, fit.linear_of(solution), solution.slack)
+    )
     prior = np.hstack([np.zeros((q, d)), np.diag(numbers.scales / fit.priors[:, 1])])
-    solution = replace(solution, columns=np.vstack([wide, prior]))
-    covariance = solution.covariance[d:, d:] * max(1.0, comparison.reduced)
+    columns = np.vstack([solution.chain.columns, prior])
+    covariance = covariance_of(columns) * max(1.0, solution.reduced)
+    if not comparison.is_white:
+        finite = np.where(np.isfinite(covariance), covariance_of(columns), 0.0)
+        covariance = np.where(np.isfinite(covariance), finite @ _spread(weighted, solution) @ finite, covariance)
+    covariance = covariance[d:, d:]
     deviations = np.sqrt(np.diag(covariance)) * numbers.scales
     with np.errstate(invalid="ignore"):
         size = np.sqrt(np.diag(covariance))
@@ -84,11 +93,37 @@ def identify(scene, log, names, limits=None, priors=None, length=LENGTH, held_ou
         solution.point.values,
         deviations,
         correlation,
-        _unknown(solution.columns, d, solution.point.values / numbers.scales, numbers.paths),
+        _unknown(columns, d, solution.point.values / numbers.scales, numbers.paths),
         comparison,
         validation,
         numbers.scene_at(solution.point.values),
     )
+
+
+def _spread(fit, solution):
+    """(g, g) covariance of the slopes of the sum of squares, of correlated residuals (Newey and West 1987).
+
+    Slopes of the measurements of one time are one; the width is that of Andrews (1991), of a process of order one.
+    """
+    still, g, found = solution.chain.starts(np.zeros(len(solution.covariance))), len(solution.covariance), []
+    moved = [solution.chain.starts(row) for row in np.eye(g)]
+    times = [s.places for s in fit.runs.segments(solution.point)]
+    for k, part in enumerate(solution.parts):
+        change = np.array([each[k] - still[k] for each in moved]).T
+        slopes = (part.own @ change.reshape(len(still[k]), g) + part.shared) * part.rest[:, None]
+        owner = np.concatenate([np.repeat(at, rest.shape[1]) for at, rest in zip(times[k], solution.residuals[k])])
+        rows = np.zeros((owner.max(initial=-1) + 1, g))
+        np.add.at(rows, owner, slopes)
+        found.append(rows[np.unique(owner)])
+    rows = np.vstack(found)
+    rho = np.einsum("ij,ij->j", rows[1:], rows[:-1]) / np.maximum(np.einsum("ij,ij->j", rows, rows), 1e-300)
+    rho = min(max(rho.max(initial=0.0), 0.0), 0.97)
+    width = 1.1447 * (4.0 * rho**2 / (1.0 - rho**2) ** 2 * len(rows)) ** (1.0 / 3.0)
+    total = rows.T @ rows
+    for lag in range(1, min(int(width) + 1, len(rows))):
+        C = rows[lag:].T @ rows[:-lag]
+        total += (1.0 - lag / (width + 1.0)) * (C + C.T)
+    return total
 
 
 def _noise(fit, solution, given):
@@ -123,11 +158,9 @@ def _validated(fit, bounds, point):
     """Rms of the weighted residuals of the segments left out, with the numbers of the scene and with those found."""
     found = []
     for values in (fit.runs.numbers.values, point.values):
-        runs = Runs(fit.runs.numbers.scene_at(values), fit.runs.log, (), fit.runs.longest)
-        other = Fit(runs, fit.deviation, fit.free & False, None, None, fit.workers)
-        states = first_states(runs, bounds, point.delays)
-        start = replace(point, bounds=bounds, states=states, values=runs.numbers.values)
-        solution = other.solve(start)
-        count = sum(int(np.isfinite(part).sum()) for parts in solution.residuals for part in parts)
-        found.append(float(np.sqrt(solution.left @ solution.left / max(count, 1))))
+        other = fixed(fit, values)
+        states = first_states(other.runs, bounds, point.delays)
+        start = replace(point, bounds=bounds, states=states, values=other.runs.numbers.values)
+        solution = tied(other, other.solve(start))
+        found.append(float(np.sqrt(solution.chain.left @ solution.chain.left / max(solution.count, 1))))
     return tuple(found)

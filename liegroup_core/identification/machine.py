@@ -61,6 +61,7 @@ class Segment:
     rows    : for each Measured of the log (r,) its rows in this segment
     places  : for each Measured (r,) which of the times these are
     instants : Instants of the times
+    end      : which of the times is the start of the next segment, to which the run goes on; -1: none
     """
 
     start: float
@@ -69,6 +70,7 @@ class Segment:
     rows: tuple
     places: tuple
     instants: tuple
+    end: int = -1
 
     @property
     def seen(self):
@@ -90,10 +92,10 @@ def segments_of(machine, bounds, delays):
     if bounds.min() < -SHIFT:
         raise SceneError(f"the delays make the log begin at {bounds.min():.6g} s: at least {-SHIFT:g} s are possible")
     changes = machine.changes(bounds.max())
-    for first, last in bounds:
+    for (first, last), (after, _) in zip(bounds, [*bounds[1:], (np.inf, 0.0)]):
         rows = tuple(np.flatnonzero((times >= first) & (times < last)) for times in shifted)
         own = [times[row] for times, row in zip(shifted, rows)]
-        found.append(_segment(machine, first, rows, own, changes))
+        found.append(_segment(machine, first, rows, own, changes, [last] if after == last else []))
     return found
 
 
@@ -116,16 +118,16 @@ def _segment(machine, first, rows, own, changes, more=()):
     inputs = np.array([each.over(times) for each in machine.log.inputs])
     inputs = inputs.reshape(len(machine.log.inputs), len(times) - 1).T
     places = tuple(np.searchsorted(times, each - 0.5e-9) for each in own)
-    return Segment(
-        first, times, inputs, rows, places, tuple(map(machine.engine.instant_of, (stamps + round(SHIFT * NS)).tolist()))
-    )
+    instants = tuple(map(machine.engine.instant_of, (stamps + round(SHIFT * NS)).tolist()))
+    end = int(np.searchsorted(times, more[0] - 0.5e-9)) if len(more) else -1
+    return Segment(first, times, inputs, rows, places, instants, end)
 
 
 def moved(machine, segment, start, lag):
-    """Segment that starts `start` s later, and in which everything was measured `lag` s later."""
+    """Segment that starts `start` s later, as the next one does, and in which everything was measured `lag` s later."""
     own = [segment.times[places] + lag for places in segment.places]
-    changes = machine.changes(segment.times[-1] + lag)
-    return _segment(machine, segment.start + start, segment.rows, own, changes)
+    ends = [segment.times[segment.end] + start] if segment.end >= 0 else []
+    return _segment(machine, segment.start + start, segment.rows, own, machine.changes(segment.times[-1] + lag), ends)
 
 
 class Machine:
@@ -134,10 +136,12 @@ class Machine:
     longest  : s, longest step
     in_space : whether planar mechanisms move in space, too: scenes with other numbers may not be planar
     turns    : (n, 3, 3) attitudes to which rotation vectors refer; None: those at the start of the scene
+    factors  : (k,) of the inputs of the log
     Raises SceneError for unknown channels.
     """
 
-    def __init__(self, scene, log, longest, in_space=False, turns=None):
+    def __init__(self, scene, log, longest, in_space=False, turns=None, factors=1.0):
+        self._factors = factors
         layout, self.longest = _driven(scene, log.drives), longest
         group = choose_group(METHOD, "auto")
         settings = group, "projection" if layout.drifts(group) else "none"
@@ -262,13 +266,13 @@ class Machine:
         return replace(state, pose=pose, twist=twist, angles=self.layout.angles(pose, state.angles))
 
     def run(self, segment, state, extra=None, halves=0):
-        """Outputs [(r, p)] of each Measured in a Segment, from a state.
+        """Outputs [(r, p)] of each Measured in a Segment, from a state, then `place` (z,) of its end, (0,) without one.
 
         extra  : (m, n, COLUMNS) change of the external wrenches in each part, or None
         halves : how often the steps are halved
         Raises SimulationError.
         """
-        seen = segment.seen
+        seen = segment.seen if segment.end < 0 else np.union1d(segment.seen, [segment.end])
         path = self.path(segment, state, seen, extra, halves)
         found = []
         for places, outputs in zip(segment.places, self.outputs):
@@ -277,12 +281,20 @@ class Machine:
         for t, k, joint, law in self._rubbing:
             rate = path.joints[np.searchsorted(seen, segment.places[t]), self.layout.coordinates.names.index(joint), 1]
             found[t][:, k] += law.against(rate)
+        k = np.searchsorted(seen, segment.end)
+        found.append(self.place(path.poses[k], path.twists[k]) if segment.end >= 0 else np.zeros(0))
         return found
+
+    def place(self, pose, twist):
+        """(z,) poses (n, 12) and twists (n, 6), with lengths by the mechanism's size, for differences of states."""
+        size = self.layout.size
+        return np.concatenate([(pose / ([1.0] * 9 + [size] * 3)).ravel(), (twist / ([1.0] * 3 + [size] * 3)).ravel()])
 
     def path(self, segment, state, seen, extra=None, halves=0):
         """Path at chosen times of a Segment, from a state; seen : their numbers. Others as of `run`."""
         self._go(self.timed(state, segment.start))
         self._go_between_stops()
+        segment = replace(segment, inputs=segment.inputs * self._factors)
         engine, work, count = self.engine, self.engine._work, len(segment.inputs)
         middles = SHIFT + segment.times[:-1] + 0.5 * np.diff(segment.times)
         wrenches = self._of_scene(middles) + np.tensordot(segment.inputs, self._wrenches, 1)

@@ -19,7 +19,7 @@ from liegroup_core.linear.numbers import Numbers
 from liegroup_core.linear.probe import Probe
 from liegroup_core.simulation import Simulation
 
-from .comparison import LONGEST, in_short_steps
+from .comparison import LONGEST, SLACKS, in_short_steps
 from .fit import Fit
 from .log import LINEAR, Given, Log, Measured
 from .machine import PRESCRIBED, law_of_driven
@@ -220,4 +220,7 @@ class _Motions:
         ends = np.linspace(0.0, times[-1] + 1e-6, max(1, round(times[-1] / PART)) + 1)
         bounds, delays = np.column_stack([ends[:-1], ends[1:]]), np.zeros(1)
         point = Unknowns(bounds, delays, runs.numbers.values, first_states(runs, bounds, delays))
-        return np.sqrt(np.diag(fit.at(in_short_steps(fit, point)).covariance)) * runs.numbers.scales
+        return (
+            np.sqrt(np.diag(fit.solution(in_short_steps(fit, point), slack=SLACKS[-1]).covariance))
+            * runs.numbers.scales
+        )

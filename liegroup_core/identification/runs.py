@@ -38,18 +38,49 @@ class Unknowns:
     halves: int = 0
 
 
+class Varied:
+    """Numbers of a scene, and factors of inputs of a log, which are 1 before.
+
+    names : as `liegroup_sim sweep --vary` takes them, and of inputs
+    paths, values, scales : as of Numbers
+    """
+
+    def __init__(self, scene, log, names):
+        inputs, names = [each.name for each in log.inputs], list(names)
+        self._own = np.array([name not in inputs for name in names], dtype=bool)
+        self._numbers = Numbers(scene, [name for name in names if name not in inputs])
+        self._places = [inputs.index(name) for name in names if name in inputs]
+        self._count, paths = len(inputs), iter(self._numbers.paths)
+        self.paths = tuple(next(paths) if own else f"scale of {name}" for own, name in zip(self._own, names))
+        self.values, self.scales = np.ones((2, len(names)))
+        self.values[self._own], self.scales[self._own] = self._numbers.values, self._numbers.scales
+
+    def __len__(self):
+        return len(self.paths)
+
+    def scene_at(self, values):
+        """Scene with other values (q,). Raises SceneError."""
+        return self._numbers.scene_at(np.asarray(values)[self._own])
+
+    def factors(self, values):
+        """(k,) factors of the inputs."""
+        found = np.ones(self._count)
+        found[self._places] = np.asarray(values)[~self._own]
+        return found
+
+
 class Runs:
     """Runs of a scene over a log, as a function of Unknowns and a change.
 
     scene : Scene
     log   : Log
-    names : of numbers that vary, as `liegroup_sim sweep --vary` takes them
+    names : of numbers that vary, see Varied
     longest : s, longest step
     """
 
     def __init__(self, scene, log, names=(), longest=2e-3):
         self.scene, self.log, self.names, self.longest = scene, log, tuple(names), longest
-        self.numbers = Numbers(scene, list(names))
+        self.numbers = Varied(scene, log, self.names)
         self._own, self._in_space, self._turns = threading.local(), False, None
         self._segments = self._starts = None, None
         self._turns = self.machine(self.numbers.values).turns
@@ -68,7 +99,8 @@ class Runs:
             while len(known) > 2 * len(self.names) + 8:
                 del known[next(iter(known))]
             scene = self.scene if np.array_equal(values, self.numbers.values) else self.numbers.scene_at(values)
-            known[key] = Machine(scene, self.log, self.longest, self._in_space, self._turns)
+            factors = self.numbers.factors(values)
+            known[key] = Machine(scene, self.log, self.longest, self._in_space, self._turns, factors)
         return known[key]
 
     def segments(self, point):
@@ -79,18 +111,39 @@ class Runs:
         return self._segments[1]
 
     def base(self, point):
-        """[[(r, p)]] outputs of each segment and Measured. Raises SimulationError."""
-        machine = self.machine(point.values)
-        return [
-            self._checked(machine, segment, state, point) for segment, state in zip(self.segments(point), point.states)
-        ]
+        """[[(r, p)]] outputs of each segment and Measured, and gaps (z,) to the next start. Raises SimulationError."""
+        return self.along(self.machine(point.values), self.segments(point), point.states, point.halves)
 
     @staticmethod
-    def _checked(machine, segment, state, point):
-        try:
-            return machine.run(segment, state, halves=point.halves)
-        except SimulationError as error:
-            raise SimulationError(f"the run from {segment.start:.9g} s on: {error}", error.status) from None
+    def along(machine, segments, states, halves, nexts=None, extras=None):
+        """As `base`, of other segments or states.
+
+        nexts  : states to which gaps are; None: `states`
+        extras : changes of the wrenches in each segment, as `Machine.run` takes them; None: none
+        """
+        found, nexts = [], states if nexts is None else nexts
+        for k, (segment, state) in enumerate(zip(segments, states)):
+            if state is None:
+                found.append(None)
+                continue
+            try:
+                one = machine.run(segment, state, None if extras is None else extras[k], halves)
+            except SimulationError as error:
+                raise SimulationError(f"the run from {segment.start:.9g} s on: {error}", error.status) from None
+            if segment.end >= 0:
+                after = machine.timed(nexts[k + 1], segments[k + 1].start)
+                one[-1] -= machine.place(after.pose, after.twist)
+            found.append(one)
+        return found
+
+    def across(self, point):
+        """[(c, z)] of segments: the changes of a start by its scales that change its `place` nearest to z."""
+        machine, found = self.machine(point.values), []
+        for _, state, _, beside in self.starts(point):
+            base = machine.place(state.pose, state.twist)
+            ways = np.array([(machine.place(each.pose, each.twist) - base) / CHANGE for each in beside])
+            found.append(np.linalg.pinv(ways.T) if len(ways) else np.zeros((0, len(base))))
+        return found
 
     def starts(self, point):
         """[(scales (c,), MachineState, ways, [MachineState] CHANGE of its scale away on each way)] of segments."""
@@ -106,31 +159,26 @@ class Runs:
         return self._starts[1]
 
     def beside_start(self, point, k):
-        """As `base`, with coordinate or rate k of each start changed by CHANGE times its scale; None: it has fewer."""
-        machine = self.machine(point.values)
-        return [
-            self._checked(machine, segment, states[k], point) if k < len(states) else None
-            for segment, (*_, states) in zip(self.segments(point), self.starts(point))
-        ]
+        """As `base`, with coordinate or rate k of each start changed by CHANGE times its scale; None: it has fewer.
+
+        Gaps are to the starts as they are.
+        """
+        states = [beside[k] if k < len(beside) else None for *_, beside in self.starts(point)]
+        return self.along(self.machine(point.values), self.segments(point), states, point.halves, point.states)
 
     def beside_times(self, point, start):
         """As `base`, with everything measured LAG later, and with the starts LAG `start` later."""
         machine = self.machine(point.values)
-        return [
-            self._checked(machine, moved(machine, segment, LAG * start, LAG), state, point)
-            for segment, state in zip(self.segments(point), point.states)
-        ]
+        segments = [moved(machine, segment, LAG * start, LAG) for segment in self.segments(point)]
+        return self.along(machine, segments, point.states, point.halves)
 
     def beside_number(self, point, k):
         """As `base`, with number k changed by CHANGE times its scale."""
         machine, (way, other) = self.machine(point.values), self._beside(point.values, k)
         if not other.probe.has_structure_of(machine.probe):
             raise SceneError(f"{self.numbers.paths[k]} changes the structure of the mechanism: it cannot be identified")
-        runs = [
-            self._checked(other, segment, other.follow(machine, state), point)
-            for segment, state in zip(self.segments(point), point.states)
-        ]
-        return way, runs
+        states = [other.follow(machine, state) for state in point.states]
+        return way, self.along(other, self.segments(point), states, point.halves)
 
     def _beside(self, values, k):
         """(1 or -1, Machine) with number k changed by CHANGE times its scale; it may be at the edge of its range."""

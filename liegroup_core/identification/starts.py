@@ -10,6 +10,7 @@ from liegroup_core.linear.channels import OutputChannels
 from liegroup_core.linear.coordinates import Coordinates, scales_of
 from liegroup_core.observables.quantities import PLACES, POSITION, RATES, ROTATION, TWIST
 
+from .chain import SHOWN
 from .fit import HIDDEN
 from .machine import Apart, directions, floating, segments_of, up_to
 from .runs import CHANGE as STEP
@@ -254,11 +255,11 @@ def _solved(rows, right):
 
 @dataclass(frozen=True, eq=False)
 class SegmentStart:
-    """Start of a segment.
+    """Start of a run along a recording.
 
     time   : s, of the clock of the inputs
     names  : of outputs: joints, and bodies that float
-    values, deviations : (k,) SI units, and standard deviations, inf: the segment does not show it
+    values, deviations : (k,) SI units, and standard deviations, inf: the log does not show it
     """
 
     time: float
@@ -268,10 +269,9 @@ class SegmentStart:
 
 
 def starts_of(fit, solution, chi):
-    """[SegmentStart] of the segments of a Solution, whose covariance is multiplied by chi.
+    """[SegmentStart] of the runs of a Solution, whose covariance is multiplied by chi.
 
-    With J of a start and G of delays and numbers, both of weighted outputs, x = J^+ (r - G g). A start moves along the
-    run with the mean of the delays.
+    A start moves along the run with the mean of the delays.
     """
     runs, point = fit.runs, solution.point
     machine = runs.machine(point.values)
@@ -279,19 +279,16 @@ def starts_of(fit, solution, chi):
     apart, found, free = Apart(outputs), [], int(fit.free.sum())
     shared = np.nan_to_num(solution.covariance, posinf=0.0)
     unknown = ~np.isfinite(np.diag(solution.covariance))
-    for segment, (_, state, _, beside), (J, G) in zip(runs.segments(point), runs.starts(point), solution.linear):
-        values = outputs.of(machine.seen(state))
-        there = np.array([outputs.of(machine.seen(other)) for other in beside]).reshape(len(beside), len(values))
-        D = apart(there, np.tile(values, (len(there), 1))).T / STEP
-        U, singular, V = np.linalg.svd(J, full_matrices=False)
-        seen = singular > HIDDEN * singular.max(initial=0.0)
-        own = D @ V[seen].T / singular[seen]
-        of_shared = -own @ U[:, seen].T @ G
-        of_shared[:, :free] += (_rates(machine, outputs, apart, segment, state) / len(fit.free))[:, None]
-        variances = np.sum(own**2, axis=1) + np.einsum("ki,ij,kj->k", of_shared, shared, of_shared)
-        off = np.abs(D - D @ V[seen].T @ V[seen]).max(axis=1, initial=0.0) > HIDDEN
-        off |= (np.abs(of_shared[:, unknown]) > HIDDEN).any(axis=1)
-        deviations = np.where(off, np.inf, np.sqrt(chi * variances))
+    known, segments, starts = solution.chain.covariances(shared), runs.segments(point), runs.starts(point)
+    for k in solution.firsts:
+        segment, (_, state, _, beside), P = segments[k], starts[k], known[k]
+        values, c = outputs.of(machine.seen(state)), len(beside)
+        there = np.array([outputs.of(machine.seen(other)) for other in beside]).reshape(c, len(values))
+        D = np.hstack([apart(there, np.tile(values, (c, 1))).T / STEP, np.zeros((len(values), len(shared)))])
+        D[:, c : c + free] = (_rates(machine, outputs, apart, segment, state) / len(fit.free))[:, None]
+        off = (np.abs(D[:, :c]) > HIDDEN) @ (np.diag(P)[:c] > SHOWN)
+        off |= (np.abs(D[:, :c] @ P[:c, c:] + D[:, c:] @ shared)[:, unknown] > HIDDEN).any(axis=1)
+        deviations = np.where(off, np.inf, np.sqrt(chi * np.einsum("ki,ij,kj->k", D, P, D)))
         found.append(SegmentStart(segment.start, tuple(outputs.names), values, deviations))
     return found
 

@@ -159,8 +159,11 @@ class OutputChannels(Columns):
     @cached_property
     def angles(self):
         """(k,) whether an output is an angle, which values have modulo 2 pi."""
+        encoders = [f"{each.name}.0" for each in self._sensors if each.type == "encoder"]
         found = zip(self.names, self.units)
-        return np.array([name.endswith(".position") and unit == "rad" for name, unit in found], bool)
+        return np.array(
+            [unit == "rad" and (name.endswith(".position") or name in encoders) for name, unit in found], bool
+        )
 
     def apart(self, values, base):
         """Differences (..., k) of outputs, of angles modulo 2 pi."""

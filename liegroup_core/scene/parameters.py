@@ -10,7 +10,7 @@ A rotation is a rotation vector, whatever its form in the scene file.
 
 import difflib
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, get_args
 
 import numpy as np
@@ -174,10 +174,23 @@ def range_of(scene, text):
 
     raises ParameterError for another form, an unknown name or an invalid number
     """
+    found = unchecked(text)
+    found = replace(found, path=path_of(scene, found.path))
+    rule = _rule(scene, found.path)
+    for number in found.numbers[:1] if found.kind == "normal" else found.numbers:
+        try:
+            rule.validate_python(number)
+        except ValidationError as error:
+            cause = error.errors()[0].get("ctx", {}).get("error", "is refused")
+            raise _refused(text, f"{found.path} {cause}, got {number:g}") from None
+    return found
+
+
+def unchecked(text):
+    """Range as of `range_of`, of any name. Raises ParameterError for another form."""
     name, equals, rest = text.partition("=")
     if not equals or not name.strip() or not rest.strip():
         raise _refused(text, "must be NAME=LOW:HIGH, NAME=LOW:HIGH:log, NAME=A,B,C or NAME=MEAN~DEVIATION")
-    path = path_of(scene, name.strip())
     log = rest.endswith(":log")
     rest = rest.removesuffix(":log")
     mark = next((mark for mark in "~,:" if mark in rest), ",")
@@ -198,14 +211,7 @@ def range_of(scene, text):
         raise _refused(text, f"log needs numbers greater than 0, got {numbers[0]:g}")
     if kind == "normal" and not numbers[1] > 0.0:
         raise _refused(text, f"the deviation must be greater than 0, got {numbers[1]:g}")
-    rule = _rule(scene, path)
-    for number in numbers[:1] if kind == "normal" else numbers:
-        try:
-            rule.validate_python(number)
-        except ValidationError as error:
-            cause = error.errors()[0].get("ctx", {}).get("error", "is refused")
-            raise _refused(text, f"{path} {cause}, got {number:g}") from None
-    return Range(path, kind, numbers)
+    return Range(name.strip(), kind, numbers)
 
 
 def _rule(scene, path):

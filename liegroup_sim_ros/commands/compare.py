@@ -10,7 +10,6 @@ from rich.console import Console
 from liegroup_core import SimulationError
 from liegroup_core.errors import LieGroupSimError
 from liegroup_core.identification import compare
-from liegroup_core.identification.comparison import LENGTH
 from liegroup_core.identification.log import joined
 from liegroup_core.layout import make_layout
 from liegroup_core.scene.yaml_text import read_yaml
@@ -39,13 +38,6 @@ def add_log(parser, least="+"):
     )
     parser.add_argument(
         "--map", metavar="FILE", help="what the topics are in the scene (*.yaml; default: that of --suggest)"
-    )
-    parser.add_argument(
-        "--segment",
-        type=float,
-        default=LENGTH,
-        metavar="S",
-        help="length in s of the parts of the log that each start anew (default: %(default)g)",
     )
     parser.add_argument("--workers", type=count, metavar="N", help="number of threads (default: one per core)")
     parser.add_argument("--json", metavar="FILE", help="write all figures as JSON; - prints it")
@@ -81,7 +73,7 @@ def run(args):
     log = log_of(args, scene)
     try:
         with Console(stderr=True).status("comparing"):
-            found = compare(scene, log, args.segment, args.workers)
+            found = compare(scene, log, args.workers)
     except SimulationError as error:
         return stopped(error)
     show(found, args, scene)
@@ -99,8 +91,6 @@ def run(args):
 def check_log(args):
     """Raise LogError or ReportError for wrong arguments, before the work."""
     check_files(None if args.json == "-" else args.json, args.html)
-    if not 0.0 < args.segment < 1e9:
-        raise LogError(f"--segment must be a positive number of seconds, got {args.segment:g}")
 
 
 def log_of(args, scene):

@@ -12,8 +12,9 @@ from rich.text import Text
 from liegroup_core import SimulationError
 from liegroup_core.identification import Move, identify, plan
 from liegroup_core.layout import make_layout
+from liegroup_core.linear.channels import WRENCH
 from liegroup_core.scene.load import scene_as_written
-from liegroup_core.scene.parameters import path_of, range_of
+from liegroup_core.scene.parameters import path_of, range_of, unchecked
 from liegroup_sim_ros.logs.load import outputs_of
 from liegroup_sim_ros.logs.map import load_map
 from liegroup_sim_ros.numbers import shown
@@ -27,6 +28,7 @@ from .compare import LogError, add_log, check_log, log_of, show
 from .robot_options import robot_scene
 from .states import refuse_repeated, stopped
 
+INPUTS = ("effort", "target", "target_velocity", *WRENCH)  # ends of the names of inputs, of which factors vary
 USUAL_NOISE = 1e-3  # rad or m, of measured positions without a map
 MOST_SECONDS = 60.0  # of a motion that is planned
 
@@ -42,7 +44,8 @@ def add_arguments(parser):
         nargs="+",
         required=True,
         metavar="NAME[=...]",
-        help="numbers of the scene, as of `liegroup_sim sweep`; NAME=LOW:HIGH limits one, NAME=MEAN~DEVIATION is what "
+        help="numbers of the scene, as of `liegroup_sim sweep`, and inputs (JOINT.effort), whose factor varies; "
+        "NAME=LOW:HIGH limits one, NAME=MEAN~DEVIATION is what "
         "is known of it",
     )
     parser.add_argument(
@@ -50,7 +53,7 @@ def add_arguments(parser):
         type=float,
         default=0.0,
         metavar="SHARE",
-        help="share of the segments that only validate, 0 to 0.9",
+        help="share of the log, at its end, that only validates, 0 to 0.9",
     )
     parser.add_argument("--out", metavar="FILE", help="write the scene with the numbers found; it must not exist")
     parser.add_argument(
@@ -83,7 +86,7 @@ def run(args):
     log = log_of(args, scene)
     try:
         with Console(stderr=True).status("identifying"):
-            found = identify(scene, log, names, limits, priors, args.segment, args.hold_out, args.workers)
+            found = identify(scene, log, names, limits, priors, args.hold_out, args.workers)
     except SimulationError as error:
         return stopped(error)
     if args.out is not None:
@@ -167,12 +170,13 @@ def _varied(scene, texts):
     for text in texts:
         name, _, rest = text.partition("=")
         limit, prior = (-math.inf, math.inf), (0.0, math.inf)
+        is_input = name.strip().rpartition(".")[2] in INPUTS
         if rest:
-            given = range_of(written, text)
+            given = unchecked(text) if is_input else range_of(written, text)
             if given.kind == "choice":
                 raise LogError(f"--vary {text}: give NAME, NAME=LOW:HIGH or NAME=MEAN~DEVIATION")
             limit, prior = (limit, given.numbers) if given.kind == "normal" else (given.numbers, prior)
-        names.append(path_of(written, name.strip()))
+        names.append(name.strip() if is_input else path_of(written, name.strip()))
         limits.append(limit)
         priors.append(prior)
     return names, np.array(limits), np.array(priors)

@@ -87,15 +87,12 @@ def _start(start):
 
 
 def start_table(result):
-    """Table of the start of the first segment."""
+    """Table of the start of the log."""
     found = []
-    for k, each in enumerate(result["starts"][0]["state"]):
-        deviations = [start["state"][k]["deviation"] for start in result["starts"]]
-        own, most = (
-            "not shown by the log" if None in some else shown(max(some)) for some in (deviations[:1], deviations)
-        )
-        found.append((each["name"], f"{each['value']:.7g}", own, most))
-    heads = ("start", "value", "deviation", "largest deviation")
+    for each in result["starts"][0]["state"]:
+        own = "not shown by the log" if each["deviation"] is None else shown(each["deviation"])
+        found.append((each["name"], f"{each['value']:.7g}", own))
+    heads = ("start", "value", "deviation")
     return TextTable(f"Start at {round(result['starts'][0]['time'], 6):g} s", heads, found)
 
 
@@ -135,7 +132,7 @@ def number_remarks(result):
         found.append(f"the bag does not show this combination of relative changes: {parts}")
     if result["held_out"] is not None:
         before, after = map(shown, result["held_out"])
-        found.append(f"segments left out: rms of residuals {before} of the noise before, {after} after")
+        found.append(f"what was left out: rms of residuals {before} of the noise before, {after} after")
     return found
 
 
@@ -156,7 +153,7 @@ def print_comparison(result, console):
 def _remarks(result):
     numerics = max(each["numerics"] for each in result["channels"])
     found = [
-        f"{counted(result['segments'], 'segment')}, each with a start of its own; errors of the integration: at most "
+        f"one run along the log, in {counted(result['segments'], 'tied segment')}; errors of the integration: at most "
         f"{shown(numerics)} of the noise"
     ]
     for topic, delay in result["delays"].items():
@@ -240,15 +237,15 @@ def _horizon_plots(each):
 def _missing_plot(each):
     """(title, remark, plot) of a Missing effort, with two standard deviations."""
     unit = "rad" if each.unit == "N m" else "m"
+    unit = {"velocity": f"{unit}/s", "time": "s"}.get(each.variable, unit)
     ends = [each.values - BAND * each.deviations, each.values + BAND * each.deviations]
     traces = [line("least squares", each.at, each.values, COLOURS[0])]
     traces += [line(name, each.at, end, COLOURS[4], "dot") for name, end in zip(("low", "high"), ends)]
-    across = f"{each.variable} / {unit}" + ("/s" if each.variable == "velocity" else "")
     remark = f"would explain {100.0 * each.share:.3g} % of the sum of squares; dotted: two standard deviations"
     return (
         f"Effort that {each.joint} lacks, against its {each.variable}",
         remark,
-        plane(traces, [], each.unit, False, across),
+        plane(traces, [], each.unit, False, f"{each.variable} / {unit}"),
     )
 
 
@@ -271,7 +268,7 @@ def _plots(comparison):
                 line("measured", times, measured, COLOURS[0]),
                 line("simulated", times, outputs, COLOURS[1], "dash"),
             ]
-            found.append((name, f"{each.name}; each segment starts anew", plane(traces, [], "SI units")))
+            found.append((name, f"{each.name}; one run along the log", plane(traces, [], "SI units")))
             bands = [_band(-BAND * sigma, BAND * sigma)]
             found.append(
                 (

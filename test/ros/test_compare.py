@@ -56,7 +56,7 @@ def test_compare_names_the_rod_and_identify_finds_it(folder, capsys):
     common = [folder / "furuta.yaml", folder / "bag", "--map", folder / "map.yaml", "--workers", 1]
     assert main(["compare", *map(str, common), "--html", str(page), "--json", str(figures)]) == 0
     text = capsys.readouterr().out
-    assert "mass of rod" in text.lower() and "segments, each with a start of its own" in " ".join(text.split())
+    assert "mass of rod" in text.lower() and "one run along the log, in" in " ".join(text.split())
     result = json.loads(figures.read_text())
     assert not result["agrees"] and result["effects"][0]["text"] == "mass of rod"
     html = page.read_text()
@@ -421,15 +421,11 @@ def test_definitions_of_a_bag_are_not_executed(folder, tmp_path):
 
 @pytest.mark.parametrize(
     ("arguments", "text"),
-    [
-        (["--segment", "0"], "--segment"),
-        (["--html", "/nowhere/page.html"], "existing folder"),
-        (["--json", "a.mcap"], "choose another name"),
-    ],
+    [(["--html", "/nowhere/page.html"], "existing folder"), (["--json", "a.mcap"], "choose another name")],
 )
 def test_wrong_arguments_have_one_line(folder, arguments, text, capsys):
     assert text in refused(["compare", folder / "furuta.yaml", folder / "bag", *arguments], capsys)
-    if arguments[0] == "--segment":
+    if arguments[0] == "--html":
         line = refused(["identify", folder / "furuta.yaml", folder / "bag", "--vary", "rod.shape.mass=1,2"], capsys)
         assert "NAME=LOW:HIGH" in line
 

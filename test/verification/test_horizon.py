@@ -46,6 +46,24 @@ def log_of(effort, seed):
     return Log((), (Measured("/joint_states", times, ("hinge.position",), values[:, None], np.array([np.nan]), 0.0),))
 
 
+NAMED = {"quadratic drag": ("quadratic drag of hinge", 0.01), "cogging": ("cogging of hinge, 8 times a turn", 0.03)}
+
+
+def bound():
+    """Deviation of the viscous friction by Cramer and Rao, of a log without a known start, by differences of SciPy."""
+    point, change, inertia = np.array([1.1, 0.0, VISCOUS]), 1e-5, MASS * (LENGTH**2 / 3.0 + RADIUS**2 / 4.0)
+
+    def outputs(p):
+        def slope(_, y):
+            return [y[1], (-p[2] * y[1] - MASS * GRAVITY * 0.5 * LENGTH * np.sin(y[0])) / inertia]
+
+        times = np.arange(SECONDS * RATE) / RATE
+        return scipy.integrate.solve_ivp(slope, (0.0, SECONDS), p[:2], t_eval=times, rtol=1e-11, atol=1e-12).y[0]
+
+    J = np.array([(outputs(point + way) - outputs(point - way)) / (2.0 * change) for way in change * np.eye(3)])
+    return NOISE * np.sqrt(np.linalg.inv(J @ J.T)[2, 2])
+
+
 @pytest.mark.parametrize("lacking", LACKING)
 @pytest.mark.volume(2)
 def test_a_model_agrees_only_if_long_runs_do(lacking):
@@ -57,11 +75,17 @@ def test_a_model_agrees_only_if_long_runs_do(lacking):
         assert horizon.noise == pytest.approx(NOISE, rel=0.2)
         low, high = found.intervals[0]
         assert low < VISCOUS < high and horizon.differs_from == np.inf
+        # Noise is estimated from 1200 values: to 2 % of one deviation.
+        assert found.deviations[0] == pytest.approx(bound(), rel=0.1)
         assert verdict.startswith(f"The model predicts hinge.position within its noise for all of {SECONDS:g} s.")
     else:
         assert horizon.differs_from < SECONDS and horizon.within_noise < 0.2 * SECONDS
         assert verdict.startswith("The model predicts hinge.position within its noise for ") and "off by" in verdict
     assert found.comparison.agrees == (lacking == "nothing"), verdict
+    if lacking in NAMED:
+        effect, size = NAMED[lacking]
+        first = found.comparison.effects[0]
+        assert first.text == effect and first.value == pytest.approx(size, rel=0.05) and found.comparison.is_explained
 
 
 def test_a_wrong_mass_of_a_driven_load_shows_in_long_runs():

@@ -12,7 +12,7 @@ from volume import some
 
 from liegroup_core import SceneError, Simulation
 from liegroup_core.identification import Given, Log, Measured, Move, compare, identify, plan
-from liegroup_core.identification.comparison import begin, first_point
+from liegroup_core.identification.comparison import begin, continued
 from liegroup_core.identification.log import joined
 from liegroup_core.identification.motions import motions
 from liegroup_core.scene.load import scene_from_text
@@ -103,24 +103,29 @@ def test_what_a_log_does_not_show_is_named():
 def test_segments_left_out_and_limits():
     true = machine("furuta", **{"mass: 0.15": "mass: 0.18"})
     log = timed(log_of(true, "furuta", 4, **SHORT))
-    found = identify(machine("furuta"), log, ["rod.shape.mass"], length=0.15, held_out=0.3, workers=1)
+    found = identify(machine("furuta"), log, ["rod.shape.mass"], held_out=0.3, workers=1)
     before, after = found.held_out
     assert after < 1.2 < before
     found = identify(machine("furuta"), log, ["rod.shape.mass"], limits=[(0.1, 0.16)], workers=1)
     assert found.values[0] == pytest.approx(0.16, abs=1e-12)
 
 
-@pytest.mark.parametrize("off", [0.0, 0.2])
-def test_all_segments_are_fitted_after_a_few(off):
-    """Also where the model is wrong in one that was not among them: an offset of a sensor, from 0.4 s to 0.5 s."""
+def test_a_sensor_that_is_off_for_a_while_contradicts():
+    """An offset from 0.4 s to 0.5 s."""
     log = timed(log_of(machine("furuta"), "furuta", 9, **SHORT))
     (measured,) = log.measured
-    measured.values[(measured.times > 0.4) & (measured.times < 0.5), 0] += off
-    found = compare(machine("furuta"), log, length=0.1, workers=1)
-    fit, point = found.fit, found.solution.point
-    last = fit.runs.log.spans[-1][1] - point.delays[0]
-    assert len(point.states) == len(point.bounds) > 8 and point.bounds[-1, 1] == pytest.approx(last, abs=0.01)
-    assert found.agrees == (off == 0.0) and (found.worst.name == measured.channels[0] or found.agrees)
+    measured.values[(measured.times > 0.4) & (measured.times < 0.5), 0] += 0.2
+    found = compare(machine("furuta"), log, workers=1)
+    assert not found.agrees and found.worst.name == measured.channels[0]
+
+
+def test_the_factor_of_an_input_is_found():
+    """A torque constant that is a tenth smaller is named, and found with an interval that its log allows."""
+    log = timed(log_of(machine("furuta"), "furuta", 6, scale=0.9, **SHORT))
+    scale = compare(machine("furuta"), log, workers=1).effects[0]
+    assert scale.text == "scale of motor.effort" and scale.value == pytest.approx(-0.1, abs=0.01)
+    found = identify(machine("furuta"), log, ["motor.effort"], workers=1)
+    assert found.comparison.agrees and abs(found.values[0] - 0.9) < 4.0 * found.deviations[0] < 0.01
 
 
 def test_a_result_does_not_depend_on_the_number_of_workers():
@@ -128,8 +133,9 @@ def test_a_result_does_not_depend_on_the_number_of_workers():
     log = timed(log_of(machine("furuta"), "furuta", 5, seconds=0.5))
     columns = []
     for workers in (1, 2):
-        fit, bounds = begin(machine("furuta"), log, ["rod.shape.mass"], workers=workers)
-        columns.append([part.tobytes() for part in fit.columns(first_point(fit, bounds[0]))])
+        fit, point = begin(machine("furuta"), log, ["rod.shape.mass"], workers=workers)
+        parts = fit.solution(continued(fit, np.array([[0.1, 0.2], [0.2, 0.4]]), point)).linear
+        columns.append([each.tobytes() for part in parts for each in (part.own, part.shared)])
     assert columns[0] == columns[1]
 
 
@@ -148,7 +154,7 @@ def test_a_channel_without_noise_and_motion_says_nothing():
 def test_late_clocks_are_found_within_half_of_the_log(late, seconds):
     """Beyond it no interval is given."""
     log = log_of(machine("furuta"), "furuta", 6, seconds=seconds, rate=60.0 if late < 0.0 else 125.0, delay=late)
-    found = compare(machine("furuta"), log, length=0.5, workers=1)
+    found = compare(machine("furuta"), log, workers=1)
     delay, deviation = found.delays["/joint_states"]
     if late > 0.5 * seconds:
         assert not found.agrees and np.isinf(deviation)
@@ -187,7 +193,7 @@ def test_given_noise_and_gaps_and_values_that_are_missing():
         ),
         (
             lambda log: replace(log, measured=tuple(replace(m, times=1e3 * m.times) for m in log.measured)),
-            "segments of 2 s have 1 of the 48 messages each, .*: check the unit of the stamps, ",
+            "9 messages take .* s, in which motions of the scene part 1000 times: check the unit of the stamps",
         ),
     ],
 )
@@ -246,8 +252,9 @@ def test_starts_are_found_far_from_those_of_the_model(name):
         truth = np.concatenate([Rotation.from_matrix(pose[:3, :3]).as_rotvec(), pose[:3, 3], state.twists["box"]])
     off = start.values - truth
     off[::2] = np.angle(np.exp(1j * off[::2])) if joints else off[::2]
-    assert (np.abs(off[known]) < 4.0 * start.deviations[known]).all() and start.deviations[known].max() < 0.05
+    assert (np.abs(off[known]) < 4.0 * start.deviations[known]).all()
     hidden = {each.partition(".")[0] for each, is_known in zip(start.names, known) if not is_known}
+    assert max(d for n, d in zip(start.names, start.deviations) if n.partition(".")[0] not in hidden) < 0.05
     assert hidden == ({"wrist"} if name == "unknown wrist" else set())
 
 
@@ -270,7 +277,7 @@ def test_a_force_that_a_free_body_lacks_is_named():
     true = BOX.replace("-9.81", "-9.76").replace("inertia:", "linear_velocity: [0.5, 0, 4], inertia:")
     log = seen_log_of(scene_from_text(true), scene_from_text(BOX), {"box": 1e-3}, 1, seconds=3.0)
     found = compare(scene_from_text(BOX), log, workers=1)
-    assert len(found.solution.point.states) <= 2 and not found.agrees
+    assert len(found.solution.point.states) <= 4 and not found.agrees
     named = [each for each in found.alone if each.text == "force on box along z"]
     assert found.effects[0].share < 1.02 * named[0].share
     assert abs(named[0].value - 2.0 * 0.05) < 4.0 * named[0].deviation < 0.02
@@ -297,7 +304,7 @@ def test_a_second_clock_may_be_silent(kept):
     v = rows[chosen, 1:, 1] + 5e-3 * rng.standard_normal((chosen.sum(), 1))
     joints = Measured("/joints", times, ("motor.position", "hinge.position"), q, np.full(2, np.nan), 0.0)
     rates = Measured("/rates", times[chosen] + 0.003, ("hinge.velocity",), v, np.full(1, np.nan))
-    found = identify(scene, Log((), (joints, rates)), ["rod.shape.mass"], length=0.5, workers=1)
+    found = identify(scene, Log((), (joints, rates)), ["rod.shape.mass"], workers=1)
     assert found.comparison.agrees, found.comparison.verdict
     assert abs(found.values[0] - 0.15) < 4.0 * found.deviations[0]
     assert len(found.comparison.fit.runs.log.notes) == (kept == "three")
@@ -356,8 +363,7 @@ joints:
 """
 
 
-@pytest.mark.parametrize("length", [0.25, 2.0])
-def test_segments_may_start_in_rigid_stops(length):
+def test_segments_may_start_in_rigid_stops():
     """The box is pushed against either stop for half a second: noise moves measured starts to beyond it."""
     scene, rng = scene_from_text(SLIDER), np.random.default_rng(6)
     simulation, at = Simulation(scene, quiet=True, accuracy=1e-8), np.arange(0.0, 2.0, 0.5)
@@ -369,9 +375,9 @@ def test_segments_may_start_in_rigid_stops(length):
     assert (rows > 0.1 - 1e-6).any() and (rows < -0.1 + 1e-6).any()
     values = (rows + 2e-4 * rng.standard_normal(len(rows)))[:, None]
     log = Log((given,), (Measured("/rail", times, ("rail.position",), values, np.full(1, np.nan), 0.0),))
-    found = compare(scene, log, length=length, workers=1)
+    found = compare(scene, log, workers=1)
     assert found.agrees, found.verdict
-    fitted = identify(scene, log, ["rail.friction.coulomb"], length=length, workers=1)
+    fitted = identify(scene, log, ["rail.friction.coulomb"], workers=1)
     assert abs(fitted.values[0] - 1.0) < 4.0 * fitted.deviations[0] < 0.1
 
 
@@ -424,7 +430,8 @@ def test_the_effort_that_a_joint_lacks_is_found_against_its_motion(key, law):
     true = machine("furuta", hinge=f"friction: {{{key}: {size}}}")
     found = compare(machine("furuta"), log_of(true, "furuta", 1, seconds=1.6, rate=125.0), workers=1).missing[0]
     assert (found.joint, found.variable, found.unit) == ("hinge", "velocity", "N m") and found.share > 0.8
-    away = np.abs(found.at) > 0.3  # between its limits a step is no constant
+    # A step is no constant between its limits: what these values leave, those beside them make good along the log.
+    away = np.abs(found.at) > 1.0
     assert np.abs(found.values + 0.01 * law(found.at))[away].max() < 0.3 * 0.01
 
 
@@ -459,7 +466,7 @@ def test_a_plan_foresees_the_deviations_of_a_fit(monkeypatch):
     values = np.array(rows[::10]) + noise * rng.standard_normal((len(rows[::10]), 2))
     given = Given("motor.effort", fine, np.array(efforts), "linear")
     log = Log((given,), (Measured("/joint_states", fine[::10], tuple(measured), values, noise, 0.0),))
-    fitted = identify(scene, log, names, length=planning.PART, workers=1)
+    fitted = identify(scene, log, names, workers=1)
     assert fitted.deviations == pytest.approx(found.deviations, rel=0.25)
     assert abs(fitted.values[0] - 0.15) < 4.0 * found.deviations[0]
 
