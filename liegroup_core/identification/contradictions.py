@@ -188,7 +188,7 @@ class Effects:
         is_noise : whether residuals are: then efforts that depend on position, velocity or time are not tried. They are
                    named only if no other effects explain the residuals.
         """
-        listed = self._simple()
+        listed = self._simple(is_noise)
         chosen, alone, is_explained = self._chosen(listed)
         if is_noise:
             return chosen, alone, [], is_explained
@@ -315,11 +315,17 @@ class Effects:
                 found.append(Candidate(text, unit, columns))
         return found
 
-    def _simple(self):
-        """[Candidate] of one column: forces, outputs and clocks."""
+    def _simple(self, is_noise):
+        """[Candidate] of one column: forces, outputs and clocks; lags and friction by load only if residuals are no noise."""
         fit, solution = self._fit, self._solution
         outputs, residuals = solution.outputs, solution.residuals
-        found = self._forces([(text, unit, [tuple(item)]) for text, unit, *item in self._forces_of_scene()])
+        found = self._forces(
+            [
+                (text, unit, [tuple(item)])
+                for text, unit, *item in self._forces_of_scene()
+                if not is_noise or item[0] not in ("by_load", "lag")
+            ]
+        )
         segments = fit.runs.segments(solution.point)
         efforts = {each.name.removesuffix(".effort"): k for k, each in enumerate(fit.runs.log.inputs)}
         for t, each in enumerate(fit.runs.log.measured):
