@@ -316,7 +316,7 @@ class Effects:
         return found
 
     def _simple(self, is_noise):
-        """[Candidate] of one column: forces, outputs and clocks; lags and friction by load only if residuals are no noise."""
+        """[Candidate] of one column: forces, outputs, clocks; lags and friction by load if residuals are no noise."""
         fit, solution = self._fit, self._solution
         outputs, residuals = solution.outputs, solution.residuals
         found = self._forces(

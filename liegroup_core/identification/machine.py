@@ -447,6 +447,9 @@ def floating(layout):
 
 def _driven(scene, drives):
     """Layout of a scene, SHIFT later, whose joints move along the positions of [Given]. Raises SceneError."""
+    for force in scene.forces:
+        if force.type == "law" and force.uses_time:
+            raise SceneError(f"the law {force.name} depends on t, and a log does not say when t was 0: leave it out")
     timed = [force for force in scene.forces if getattr(force, "start", 0.0) or getattr(force, "end", None)]
     if timed:
         scene = scene.remade(forces=[_later(force) if force in timed else force for force in scene.forces])

@@ -13,6 +13,7 @@ from volume import some
 
 from liegroup_core import SceneError, Simulation
 from liegroup_core.forces.formulas import FUNCTIONS, FormulaError, Program, differentiate, evaluate, table_arrays
+from liegroup_core.identification import Log, Measured, compare
 from liegroup_core.linear import linearise, sensitivities, trim
 from liegroup_core.methods.families import fitting_methods
 from liegroup_core.reference.formulas import Postfix
@@ -577,3 +578,11 @@ def test_parameters_of_a_law_have_sensitivities(drive):
     ]
     slope = (ends[1] - ends[0]) / 2e-3  # error below 1e-3^2 of the third derivative
     assert found.derivatives.item() == pytest.approx(slope, rel=1e-5)
+
+
+def test_logs_refuse_laws_of_the_time():
+    """What starts the clock of a log is not known."""
+    times, noise = np.linspace(0.0, 1.0, 101), np.array([1e-3])
+    log = Log((), (Measured("log", times, ("hinge.position",), np.sin(times)[:, None], noise, 0.0),))
+    with pytest.raises(SceneError, match="the law own depends on t, and a log does not say when t was 0"):
+        compare(pendulum(SMOOTH["pd that follows a sine"][0]), log, workers=1)
