@@ -200,13 +200,13 @@ def forced(rng, scene):
 
 
 def _laws(rng, scene, first):
-    """Laws at some joints with one coordinate and on some bodies, with formulas that decimals can evaluate."""
+    """Laws at some joints with one coordinate and on some bodies: smooth formulas that decimals can evaluate."""
     laws = []
     for joint in scene.joints:
         k, c, a = rng.uniform(0.1, 2.0, size=3).tolist()
         if TYPES[joint.type].coordinate and not joint.driven and c < 0.7:
             inputs = {"q": f"{joint.name}.position", "w": f"{joint.name}.velocity"}
-            output = {"joint": joint.name, "effort": "k*(a - q) - c*w*abs(w) + 0.1*q**3"}
+            output = {"joint": joint.name, "effort": "k*(a - q) - c*w*abs(c) + 0.1*q**3"}
             laws.append({"inputs": inputs, "parameters": {"k": k, "c": c, "a": a}, "outputs": [output]})
     for body in scene.bodies:
         k, c, a = rng.uniform(0.1, 2.0, size=3).tolist()
@@ -217,7 +217,7 @@ def _laws(rng, scene, first):
             output = {"body": body.name, "force": ["-k*x", "c*w", "f"], "torque": ["f*a", "w - v", "1/k"]}
             output |= {"point": point, "axes": "world" if a > 1.0 else "body"}
             law = {"inputs": inputs, "parameters": {"k": k, "c": c, "a": a}, "outputs": [output]}
-            laws.append(law | {"signals": {"f": "max(v, -v)*c if x > 0 else x*v"}})
+            laws.append(law | {"signals": {"f": "max(v, v - 1)*c - x*v if k > 0 else x"}})
     return [Law(name=f"f{first + number}", **law) for number, law in enumerate(laws)]
 
 

@@ -426,9 +426,10 @@ def test_missing_estimates_are_nan(tmp_path, monkeypatch):
 
     class Missing(write_run.LogFile):
         def sample(self, sample):
-            channel, self._errors = self._errors, None if self.count % 2 else self._errors
+            every = self._of
+            self._of = {kind: channel for kind, channel in every.items() if kind != "errors" or not self.count % 2}
             super().sample(sample)
-            self._errors = channel
+            self._of = every
             missed.append(sample.errors if self.count % 2 else np.full((1, 4), np.nan))
 
     monkeypatch.setattr(write_run, "LogFile", Missing)
