@@ -425,8 +425,8 @@ class Engine:
         """Whether `halt` was called since the last `advance` began."""
         return self._halted
 
-    def _go_on(self):
-        """Allow `advance` again after `halt`."""
+    def end_halt(self) -> None:
+        """Allow all again after `halt`, once the thread that advanced has ended; `advance` does so, too."""
         self._halted = False
         if METHODS[self.method].controlled:
             self._integrator.limit_attempts()
@@ -460,7 +460,7 @@ class Engine:
     def reach(self, instant, enough=None):
         """As `advance_to`, of an Instant; enough : as in `advance`."""
         if self._halted:
-            self._go_on()
+            self.end_halt()
         if instant.step >= NEVER:
             raise ValueError(f"a run has {NEVER - 1} steps at most: take a larger step than {self.step:g} s")
         if instant == self.now and not instant < self.inputs.schedule.next:

@@ -328,10 +328,11 @@ class Simulation(Engine):
         if self._running is not None:
             self._running.companion.halt()
 
-    def _go_on(self):
-        super()._go_on()
+    def end_halt(self) -> None:
+        """As Engine.end_halt."""
+        super().end_halt()
         if self._running is not None:
-            self._running.companion._go_on()
+            self._running.companion.end_halt()
 
     def _go(self, until, enough=None):
         running = self._running

@@ -8,9 +8,9 @@ inertia is gathered and no degree of freedom is eliminated.
 
 from liegroup_core.compiling import kernel
 from liegroup_core.forces import gravity
-from liegroup_core.forces.external import PULL, external_wrench, pull
+from liegroup_core.forces.external import external_wrench
 from liegroup_core.forces.kinds import add_wrenches
-from liegroup_core.lie.vec3 import ZERO3, add3, cross3, load3, matrix3, matvec3, scale3, store_column
+from liegroup_core.lie.vec3 import ZERO3, cross3, load3, matrix3, matvec3, scale3, store_column
 
 
 @kernel
@@ -52,10 +52,7 @@ def accelerations_of_free_bodies(model, work, external):
         weight = gravity.force(model.space, pose, i)
         torque, force = ZERO3, ZERO3
         if work.pushed[0] > 0.0:
-            torque, force = external_wrench(external, pose, i)
-            if external[i, PULL] != 0.0:
-                more = pull(external, pose, twist, i)
-                torque, force = add3(torque, more[0]), add3(force, more[1])
+            torque, force = external_wrench(external, pose, twist, i)
         for c in range(3):
             work.wrench[i, c] = torque[c] + gyro_w[c]
             work.wrench[i, 3 + c] = force[c] + mass * gyro_v[c] + weight[c]

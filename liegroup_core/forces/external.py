@@ -81,8 +81,8 @@ def power(external, pose, twist):
 
 
 @kernel
-def external_wrench(external, pose, i):
-    """Torque about the centre of mass and force on body i at its pose; body axes."""
+def _pushed(external, pose, i):
+    """(torque, force) of the wrenches on body i about its centre of mass, body axes."""
     torque, force = load3(external, i, 0), load3(external, i, 3)
     if external[i, 15] != 0.0:
         rot = load9(pose, i, 0)
@@ -107,7 +107,7 @@ def _pull(external, i, rot, stretch, speed, turn):
 
 
 @kernel
-def pull(external, pose, twist, i):
+def _pulled(external, pose, twist, i):
     """(torque, force) of the pull at body i about its centre of mass, body axes."""
     rot, point, turn = load9(pose, i, 0), load3(external, i, PULL + 6), load3(twist, i, 0)
     stretch = sub3(load3(external, i, PULL + 3), add3(load3(pose, i, 9), matvec3(rot, point)))
@@ -117,13 +117,20 @@ def pull(external, pose, twist, i):
 
 
 @kernel
+def external_wrench(external, pose, twist, i):
+    """Torque about the centre of mass and force on body i, with its pull, in a state; body axes."""
+    torque, force = _pushed(external, pose, i)
+    if external[i, PULL] != 0.0:
+        more = _pulled(external, pose, twist, i)
+        torque, force = add3(torque, more[0]), add3(force, more[1])
+    return torque, force
+
+
+@kernel
 def set_external_wrenches(external, pose, twist, wrench_out):
-    """Write `external_wrench` and `pull` of all bodies to wrench_out (n, 6)."""
+    """Write `external_wrench` of all bodies to wrench_out (n, 6)."""
     for i in range(len(wrench_out)):
-        torque, force = external_wrench(external, pose, i)
-        if external[i, PULL] != 0.0:
-            more = pull(external, pose, twist, i)
-            torque, force = add3(torque, more[0]), add3(force, more[1])
+        torque, force = external_wrench(external, pose, twist, i)
         store3(torque, wrench_out, i, 0)
         store3(force, wrench_out, i, 3)
 

@@ -351,10 +351,8 @@ def _change_wrenches(model, work, external, more, targets, d, directions, links,
     if forces.exist:
         at = d * len(work.targets)
         laws, f_all = forces.laws, len(work.freedoms)
-        work.registers[0, 0] = work.clock.now[0]
-        for s in range(len(model.law_links)):
+        for s in range(len(model.law_links)):  # time and states are those of the accelerations
             link = model.links[model.law_links[s]]
-            work.registers[laws.states[s, 0], 0] = work.stage_twist[n + model.law_links[s], 0]
             work.registers[laws.states[s, 0], 1] = directions[(2 * d + 1) * f_all + link["freedom"], 0]
         given = forces, work.angle, work.targets, work.registers
         add_changes(*given, pose, twist, moves, rates, targets, at, work.wrench)

@@ -269,7 +269,7 @@ class Sample:
     def external_wrenches(self) -> NDArray[np.float64]:
         """(n, 6) sum of the applied wrenches on each body: N m, N; body axes, about the origin of its frame.
 
-        Those of `apply_wrench` and `apply_effort`, at the end of the last step, and of the scene.
+        Those of `apply_wrench`, `apply_effort` and `pull`, at the end of the last step, and of the scene.
         """
         external, found = self.acting.external, np.zeros((len(self.pose), 6))
         if acts(external):

@@ -291,8 +291,9 @@ class Recording:
         """pandas DataFrame with the time in s as index.
 
         what : "motion"  columns (body, quantity): x, y, z, qx, qy, qz, qw, wx, wy, wz, vx, vy, vz
-               "inputs"  columns kind, name, source, axes, tx, ty, tz, fx, fy, fz, px, py, pz, start, end: wrenches
-                         and efforts (in tx) as they were given at this time; s; NaN: no point, no end
+               "inputs"  columns kind, name, source, axes, tx, ty, tz, fx, fy, fz, stiffness, damping, to_x, to_y,
+                         to_z, turning_damping, px, py, pz, start, end: wrenches, efforts (in tx) and pulls as they
+                         were given at this time; s; NaN: no point, no end
                "joints"  columns (joint, "position", "velocity" or "effort")
                "motions" columns (driven joint, "origin" or "c0" to "c5"): the commanded motion from
                          this time on, see liegroup_core/joints/motion.py; infinite origin: none

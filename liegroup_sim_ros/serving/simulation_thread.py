@@ -173,6 +173,7 @@ class SimulationServer(SimulationCommands, threading.Thread):
         while self.is_alive():
             self._simulation.halt()  # repeatedly: the thread may have started to advance since
             self.join(HALTING)
+        self._simulation.end_halt()  # a last state within a step is computed as any other
 
     # In the simulation thread:
 

@@ -8,6 +8,7 @@ import mpmath
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scene_files import text_of
 from scipy.integrate import solve_ivp
 from volume import some
 
@@ -224,15 +225,7 @@ def test_a_scene_with_too_many_operations_is_refused():
 
 # ---------------------------------------------------------------- scenes
 
-PENDULUM = """
-name: pendulum
-gravity: [0, 0, -9.81]
-bodies:
-- {name: bob, mass: 0.8, inertia: [0.1, 0.05, 0.1], com: [0, 0, -0.5], rotation_vector: [0, 0.7, 0]}
-joints:
-- {name: hinge, type: revolute, parent: world, child: bob, parent_frame: {axis: [0, 1, 0]},
-   child_frame: {axis: [0, 1, 0]}}
-"""
+PENDULUM = text_of("pendulum_laws.yaml")
 INERTIA, WEIGHT = 0.05 + 0.8 * 0.25, 0.8 * 9.81 * 0.5
 
 

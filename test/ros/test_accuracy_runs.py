@@ -172,6 +172,7 @@ def test_an_accuracy_that_changes_between_states_of_one_step_repeats(ros_node, t
         run.pass_time(0.35)
     recording = repeats(tmp_path / "run.mcap")
     assert [event.name for event in recording.events].count("accuracy") == 1
+    assert not simulation.is_halted and 0.0 < simulation.largest_error < 1e-3  # the last state can be read
 
 
 ARM = (

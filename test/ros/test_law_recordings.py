@@ -3,6 +3,7 @@
 
 import numpy as np
 import pytest
+from scene_files import text_of
 
 from liegroup_core import Simulation
 from liegroup_core.scene.load import load_scene
@@ -10,15 +11,9 @@ from liegroup_sim_ros.analysis.analyse import analyse
 from liegroup_sim_ros.commands.main import main
 from liegroup_sim_ros.recording.read import read_recording
 
-SCENE = """
-name: controlled
-gravity: [0, 0, -9.81]
-bodies:
-- {name: bob, mass: 0.8, inertia: [0.1, 0.05, 0.1], com: [0, 0, -0.5], rotation_vector: [0, 0.7, 0]}
-joints:
-- {name: hinge, type: revolute, parent: world, child: bob, parent_frame: {axis: [0, 1, 0]},
-   child_frame: {axis: [0, 1, 0]}}
-forces:
+SCENE = (
+    text_of("pendulum_laws.yaml")
+    + """forces:
 - name: pid
   type: law
   inputs: {q: hinge.position, w: hinge.velocity}
@@ -27,6 +22,7 @@ forces:
   signals: {e: 0.5*sin(2*t) - q}
   outputs: [{joint: hinge, effort: a}]
 """
+)
 
 
 @pytest.fixture(scope="module")
