@@ -4,6 +4,7 @@
 from liegroup_core.compiling import kernel, shared, subroutine
 from liegroup_core.forces.external import set_external_wrenches
 from liegroup_core.forces.kinds import add_wrenches
+from liegroup_core.forces.law import set_branches
 from liegroup_core.mechanism.bodies import PIVOT, SINGULAR_SOLVES
 from liegroup_core.status import OK
 
@@ -33,6 +34,7 @@ def apply_forces(model, work, external):
     set_external_wrenches(external, space.stage_pose, space.stage_twist, work.wrench)
     laws, n = model.space.forces.laws, len(model.bodies)
     work.registers[0, 0] = work.clock.now[0]
+    set_branches(laws, work.branches, work.registers)
     for s in range(len(model.law_links)):
         work.registers[laws.states[s, 0], 0] = work.stage_twist[n + model.law_links[s], 0]
     pose, twist = space.stage_pose, space.stage_twist

@@ -10,6 +10,7 @@ from liegroup_core.compiling import kernel
 from liegroup_core.forces import gravity
 from liegroup_core.forces.external import external_wrench
 from liegroup_core.forces.kinds import add_wrenches
+from liegroup_core.forces.law import set_branches
 from liegroup_core.lie.vec3 import ZERO3, cross3, load3, matrix3, matvec3, scale3, store_column
 
 
@@ -59,6 +60,7 @@ def accelerations_of_free_bodies(model, work, external):
     forces = model.space.forces
     if forces.exist:
         work.registers[0, 0] = work.clock.now[0]
+        set_branches(forces.laws, work.branches, work.registers)
         add_wrenches(forces, work.angle, work.targets, work.registers, pose, twist, work.wrench)
     for i in range(len(model.bodies)):
         f = model.links[i]["freedom"]

@@ -22,6 +22,7 @@ import numpy as np
 
 from liegroup_core.compiling import kernel
 from liegroup_core.forces.axis import unwrapped
+from liegroup_core.forces.law import distances_in
 from liegroup_core.mechanism.arrays import COORDINATE, EFFORT, KNOWN, RESTS, SIDE, SLIP
 
 from .coordinates import lift_links, place_links
@@ -32,7 +33,8 @@ from .matrix import is_off
 from .residuals import set_present_residual
 from .trees import move_links
 
-# Columns of Work.guards; LOWER and UPPER are the stops, the last two the bounds of the effort that holds.
+# Columns of Work.guards; LOWER and UPPER are the stops, the last two the bounds of the effort that holds, or the ends
+# of a branch.
 LOWER, UPPER, SLIDING, LEAST, MOST = 0, 1, 2, 3, 4
 # Round-off of an effort that holds, relative to the sum of the wrenches on all links.
 ROUND_OFF = 1e-13
@@ -219,8 +221,20 @@ def bounds(most, side):
 
 
 @kernel
+def set_branch_guards(model, work):
+    """Write the distances of the kinks of laws to the ends of their branches behind those of the switches."""
+    laws, first = model.space.forces.laws, len(model.switches)
+    for k in range(len(work.branches)):
+        for c in range(LEAST):
+            work.guards[first + k, c] = math.inf
+        ends = distances_in(laws, work.branches[k], work.registers, k)
+        work.guards[first + k, LEAST], work.guards[first + k, MOST] = ends
+
+
+@kernel
 def set_guards(model, work):
-    """Write the distance of every switch to its next event to work.guards; negative beyond the event."""
+    """Write the distance of every switch and branch to its next event to work.guards; negative beyond the event."""
+    set_branch_guards(model, work)
     held = False
     for k in range(len(model.switches)):
         for c in range(5):

@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Guards of switches that are crossed in a substep: negative at its end, or in between.
+"""Guards of switches and branches that are crossed in a substep: negative at its end, or in between.
 
 Within a substep a gap is interpolated from its values, rates and accelerations at both ends. The effort that
 holds a switch has no known derivative, and may exceed its bounds for only a part of a substep. Its guards
 are computed at some stages of the method, and interpolated by the polynomial through these. The distance to
-the polynomial without the middle node estimates the error.
+the polynomial without the middle node estimates the error. So are those of the branches of laws.
+
+A branch is OPEN where both of its sides lead back to its end: the law takes at every stage the branch of its
+arguments. Once all stages of a substep agree, and it leads away from the end, that one holds.
 
 times.py confirms and locates the suspected crossings.
 """
@@ -15,7 +18,20 @@ import math
 import numpy as np
 
 from liegroup_core.compiling import kernel
-from liegroup_core.dynamics.switches import AT_STOP, LEAST, LOWER, MOST, RESTING, SLIDING, UPPER, coordinate, set_guards
+from liegroup_core.dynamics.switches import (
+    AT_STOP,
+    LEAST,
+    LOWER,
+    MOST,
+    RESTING,
+    SLIDING,
+    UPPER,
+    coordinate,
+    set_branch_guards,
+    set_guards,
+)
+from liegroup_core.forces.formulas import OPEN
+from liegroup_core.forces.law import branch_of, distances_in
 from liegroup_core.mechanism.arrays import COORDINATE, NODES, RESTS, SIDE, SLIP
 
 NONE = -1.0  # in Work.crossed: the guard is not crossed
@@ -57,16 +73,37 @@ def _rows_and_weights(times):
 
 @kernel
 def note_guards(model, work, row):
-    """Set the guards of a stage, and save those of held switches in a row of Work.course."""
-    held = row == END
-    for k in range(len(model.switches)):
+    """Set the guards of a stage, and save those of held switches and of branches in a row of Work.course."""
+    held, switches = row == END, len(model.switches)
+    for k in range(switches):
         held = held or work.held[model.switches[k]["freedom"]] != 0.0
-    if row < 0 or not held:
+    if row < 0 or not held and len(work.branches) == 0:
         return
-    set_guards(model, work)
-    for k in range(len(model.switches)):
+    if held:
+        set_guards(model, work)
+    else:
+        set_branch_guards(model, work)
+    for k in range(0 if held else switches, len(work.guards)):
         for c in range(2):
             work.course[row, k, c] = work.guards[k, LEAST + c]
+    for k in range(len(work.branches)):
+        if work.branches[k] == OPEN:
+            now = branch_of(model.space.forces.laws, work.registers, k)
+            low, high = distances_in(model.space.forces.laws, now, work.registers, k)
+            work.course[row, switches + k, 0], work.course[row, switches + k, 1] = now, min(low, high)
+
+
+@kernel
+def _close_branch(work, weights, k, row):
+    """Let a branch that is OPEN hold, if all saved stages of the substep have it, and lead away from its end."""
+    now = work.course[END, row, 0]
+    if work.course[END, row, 1] < work.course[START, row, 1]:
+        return
+    for node in range(NODES):
+        if node == START or node == END or weights[0, 0, node] != 0.0:
+            if work.course[node, row, 0] != now:
+                return
+    work.branches[k] = now
 
 
 @kernel
@@ -175,6 +212,13 @@ def first_place(model, work):
                 place = before / (before - after) if 0.0 < before < math.inf else 0.5
             if place != NONE:
                 first = min(first, place)
+    for row in range(len(model.switches), len(work.crossed)):
+        for c in range(LEAST, MOST + 1):
+            place, before = work.crossed[row, c], work.course[START, row, c - LEAST]
+            if place == 1.0:
+                place = before / (before - work.guards[row, c]) if before > 0.0 else 0.5
+            if place != NONE:
+                first = min(first, place)
     return first
 
 
@@ -222,4 +266,14 @@ def crossed(model, work, h, weights):
                 places[k, SLIDING] = _dip(sign * v0, sign * a0, sign * v1, sign * a1, h)
         for c in range(5):
             found = found or places[k, c] != NONE
+    for k in range(len(work.branches)):
+        row, places = len(model.switches) + k, work.crossed
+        for c in range(5):
+            places[row, c] = NONE
+        if work.branches[k] == OPEN:
+            _close_branch(work, weights, k, row)
+            continue
+        for c in range(LEAST, MOST + 1):
+            places[row, c] = 1.0 if work.guards[row, c] < 0.0 else _gives_way(weights, work.course, row, c)
+            found = found or places[row, c] != NONE
     return found

@@ -15,6 +15,8 @@ from liegroup_core.dynamics.loads import UNSETTLED
 from liegroup_core.dynamics.state import begin, enter, leave
 from liegroup_core.dynamics.switches import count_coordinates, set_guards
 from liegroup_core.dynamics.trees import move_links
+from liegroup_core.forces.formulas import UNKNOWN
+from liegroup_core.forces.law import branch_of
 from liegroup_core.status import DEPENDENT_ROWS, NO_FRICTION, OK
 
 
@@ -27,6 +29,9 @@ def look(model, work, pose_in, twist_in, external_in):
     dependent = accelerations(model, work, external)
     if dependent >= 0:
         return DEPENDENT_ROWS + (model.owners[dependent] << 8)
+    for k in range(len(work.branches)):
+        if work.branches[k] == UNKNOWN:
+            work.branches[k] = branch_of(model.space.forces.laws, work.registers, k)
     # Guards first: they need the applied forces of the stage, which count_coordinates clears.
     set_guards(model, work)
     count_coordinates(model, work)

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Steps of a Munthe-Kaas method with the events of stops and dry friction.
+"""Steps of a Munthe-Kaas method with the events of stops and dry friction, and of the branches of laws.
 
 An event ends the smooth motion between two steps: a joint reaches a stop or leaves it, comes to rest
-or breaks away. munthe_kaas.py returns at the start of the substep in which a guard is crossed
-(crossings.py). times.py finds the event's time, mode_changes.py what changes. A method that runs ahead returns at the
-start of the step, which is completed from the lead on.
+or breaks away, or a law changes its branch. munthe_kaas.py returns at the start of the substep in which a guard
+is crossed (crossings.py). times.py finds the event's time, mode_changes.py what changes. A method that runs ahead
+returns at the start of the step, which is completed from the lead on.
 
 More than MOST_EVENTS in a step are an error.
 """
@@ -13,8 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from liegroup_core.dynamics.switches import LOWER, SLIDING, UPPER, modes_of
+from liegroup_core.dynamics.switches import LEAST, LOWER, MOST, SLIDING, UPPER, modes_of
 from liegroup_core.forces.acting import Acting
+from liegroup_core.forces.formulas import OPEN, UNKNOWN
+from liegroup_core.forces.law import next_branch
 from liegroup_core.joints.stops import WITHIN_A_TURN
 from liegroup_core.mechanism.arrays import BEGIN, COORDINATE, KNOWN, SIDE, SLIP, SPAN, WATCHED
 from liegroup_core.status import BEYOND_STOP, EVENT, EVENTS_WITHOUT_END, MOST_EVENTS, OK, TOO_MANY_SUBSTEPS
@@ -62,7 +64,8 @@ class Switching(EventTimes):
         self._lead = lead
         self.instants, self.count = None, 0
         self.endless = self._inputs = None
-        self.tally = np.zeros(len(work.guards), dtype=int)
+        self.tally = np.zeros(len(model.switches), dtype=int)
+        self._branch_times = np.full(len(work.branches), -np.inf)  # s, of the last event of each in a step
         work.watch[WATCHED] = 1.0
 
     def touch(self, pose, twist, external):
@@ -78,7 +81,7 @@ class Switching(EventTimes):
 
     @property
     def memory(self):
-        """Arrays of the modes between calls."""
+        """Arrays of the modes of switches between calls."""
         return self._work.held, self._work.modes
 
     def log(self):
@@ -97,8 +100,8 @@ class Switching(EventTimes):
 
     def restart(self):
         """Reset the modes after the state was set. Angles are unwrapped near 0, see `_meet_inputs`."""
-        self._work.held[:] = 0.0
-        self._work.modes[:] = 0.0
+        for part in self._all_modes:
+            part[:] = 0.0
         self.events, self.count, self.lost = [], 0, 0.0
         self.endless = self._inputs = None
         self.tally[:] = 0
@@ -141,7 +144,7 @@ class Switching(EventTimes):
     def _finish_from_lead(self, h, start, state):
         """Complete a step of size h with the next event, whose substep begins at the lead. Returns a status."""
         work, (pose, twist, _) = self._work, state
-        own = work.angle, work.held, work.modes, pose, twist
+        own = work.angle, *self._all_modes, pose, twist
         kept, logged = [part.copy() for part in own], self._logged()
         work.angle[:], work.modes[:, COORDINATE] = work.lead_angle, work.lead_coordinates
         work.watch[SPAN] = min(work.watch[SPAN], h - work.watch[BEGIN])
@@ -170,6 +173,8 @@ class Switching(EventTimes):
     @property
     def are_known(self):
         """Whether the modes were found since the state was set: all are found together."""
+        if not len(self._work.modes):
+            return self._work.branches[0] != UNKNOWN
         return self._work.modes[0, KNOWN] != 0.0
 
     @property
@@ -194,7 +199,7 @@ class Switching(EventTimes):
         """Find the modes after a state was set or the inputs changed."""
         if self.is_settled(state[2]):
             return OK
-        work, known = self._work, self._work.modes[0, KNOWN] != 0.0
+        work, known = self._work, self.are_known
         self._note_inputs(state[2])
         if self._lead.known:
             self._lead.go_back()
@@ -205,14 +210,15 @@ class Switching(EventTimes):
         if status != OK:
             return status
         if not known:
-            beyond = (self._rigid[:, None] & (work.guards[:, : UPPER + 1] < -BEYOND * self._unit[:, None])).any(axis=1)
+            own = work.guards[: len(work.modes)]
+            beyond = (self._rigid[:, None] & (own[:, : UPPER + 1] < -BEYOND * self._unit[:, None])).any(axis=1)
             if beyond.any():
                 return BEYOND_STOP + (int(np.argmax(beyond)) << 8)
             rates = self._rates()
             work.modes[:, SLIP] = np.where(self._dry, np.sign(rates), 0.0)
             soft = ~self._rigid
             for end, side in ((0, -1.0), (1, 1.0)):
-                work.modes[soft & (work.guards[:, end] < 0.0), SIDE] = side
+                work.modes[soft & (own[:, end] < 0.0), SIDE] = side
             work.modes[:, KNOWN] = 1.0
             log, count = len(self.events), self.count
             status = self._switch(time, state, np.zeros(work.guards.shape, dtype=bool))
@@ -236,6 +242,7 @@ class Switching(EventTimes):
     def _finish(self, h, start, state):
         """Complete the step with the next event, from the substep of the event on. Returns a status."""
         self.step, self.same_time = h, min(SAME_TIME, SAME_PART * h)
+        self._branch_times[:] = -np.inf
         self._note_inputs(state[2])
         status = self._take_events(h, start, state)
         self.is_dense = self.has_many = False
@@ -256,12 +263,13 @@ class Switching(EventTimes):
                 # Impacts that converge do so by then; so many in so short a time do not.
                 self.has_many = len(times) > MOST_EVENTS // 2
                 self.is_dense = self.has_many and elapsed - times[-DENSE] < SHORT * h
-                if self.is_dense and self.endless is None:
-                    self.endless = start + elapsed, np.argwhere(crossed)[:, 0].tolist()
+                own = crossed[: len(self.tally)].any(axis=1)
+                if self.is_dense and self.endless is None and own.any():
+                    self.endless = start + elapsed, np.flatnonzero(own).tolist()
                 status = self._switch(start + elapsed, state, crossed)
                 if status != OK:
                     return status
-                self.tally += crossed.any(axis=1)
+                self.tally += own
             if not elapsed < h * (1.0 - 1e-13):
                 return OK
             work.clock.count[0], work.clock.offset[0] = 0.0, start + elapsed
@@ -286,16 +294,27 @@ class Switching(EventTimes):
         return status
 
     def _switch(self, time, state, crossed):
-        """Apply impulses and choose new modes at an event; crossed: mask of the guards that are zero.
+        """Change the branches of laws and the modes of switches at an event; crossed: mask of the guards that are zero.
 
         returns a status
         """
-        model, work = self._model, self._work
-        time = float(time)  # users read it in the events
+        work, time = self._work, float(time)  # users read it in the events
         work.clock.now[0] = time
-        status = self._look(model, work, *state)
-        if status != OK:
-            return status
+        crossed, ends = np.split(crossed, [len(self.tally)])
+        self._change_branches(time, ends)
+        status = self._look(self._model, work, *state)
+        if status == OK and len(self.tally):
+            status = self._change_modes(time, state, crossed)
+        # Impulses change rates, and what laws do with them.
+        left = (work.guards[len(self.tally) :, LEAST:] < 0.0).any(axis=1) & ~ends.any(axis=1)
+        if status == OK and left.any():
+            work.branches[left] = UNKNOWN
+            status = self._look(self._model, work, *state)
+        return status
+
+    def _change_modes(self, time, state, crossed):
+        """Apply impulses and choose new modes, as `_switch`. Returns a status."""
+        model, work = self._model, self._work
         log, impacts = len(self.events), len(self.impacts or ())
         modes, before = work.modes, (self._at_rest(), work.modes.copy())
         for k, c in np.argwhere(crossed[:, : UPPER + 1] & ~self._rigid[:, None]):
@@ -342,6 +361,17 @@ class Switching(EventTimes):
             self.instants.append(JointInstant(time, self.present_modes(), self.events[log:]))
         return OK
 
+    def _change_branches(self, time, ends):
+        """Go on with the branches beyond these ends (q, 5). One whose end is met again at once is OPEN.
+
+        So is one with many events in a step.
+        """
+        laws = self._model.space.forces.laws
+        for k, c in np.argwhere(ends):
+            again = time - self._branch_times[k] <= self.same_time or self.has_many
+            self._work.branches[k] = OPEN if again else next_branch(laws, self._work.branches[k], k, c == MOST)
+            self._branch_times[k] = time
+
     def _is_slow(self, before, rates):
         """Mask of the switches that slid until now and whose rate has changed its sign, or is zero."""
         slip = before[1][:, SLIP]
@@ -353,7 +383,7 @@ class Switching(EventTimes):
 
     def modes(self, time, state):
         """(k, 5) of all switches, see switches.modes_of; for a state that was set, the modes it will have."""
-        if self._work.modes[0, KNOWN] != 0.0:
+        if self.are_known:
             return self.present_modes()
         noted, known = (self.events, self.impacts, self.instants, self.count, self._inputs), self._work.known[0]
         kept, self.events, self.impacts, self.instants = self._keep(*state[:2]), [], None, None

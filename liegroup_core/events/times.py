@@ -43,14 +43,15 @@ class EventTimes(ModeChanges):
         super().__init__(model, work)
         self._take, self._step, self._control, self.parts = take, step, control, 1
         self.same_time = SAME_TIME
+        self._all_modes = work.held, work.modes, work.branches
         table = model.switches
         # A guard whose initial value is below this starts at its zero.
-        self._at_zero, self._digit = np.zeros((2, len(table), 5))
+        self._at_zero, self._digit = np.zeros((2, len(work.guards), 5))
         for end, stop in ((LOWER, table["lower"]), (UPPER, table["upper"])):
             far = np.where(np.isfinite(stop), np.abs(stop), 0.0)
-            self._at_zero[:, end] = AT_STOP * (self._unit + far)
-            self._digit[:, end] = DIGIT * (self._unit + far)
-        self._at_zero[:, SLIDING] = RESTING * self._unit
+            self._at_zero[: len(table), end] = AT_STOP * (self._unit + far)
+            self._digit[: len(table), end] = DIGIT * (self._unit + far)
+        self._at_zero[: len(table), SLIDING] = RESTING * self._unit
         # s: when a compliant stop is left, its pressure vanishes this long before its depth.
         self._lag = table["damping"] / np.where(self._rigid, np.inf, table["stiffness"])
 
@@ -212,11 +213,11 @@ class EventTimes(ModeChanges):
         own = [work.pose, work.twist, work.angle]
         if from_start and self._control.attempted[0]:
             own = [work.start_pose, work.start_twist, work.start_angle]
-        return [part.copy() for part in (*own, work.held, work.modes, pose, twist)]
+        return [part.copy() for part in (*own, *self._all_modes, pose, twist)]
 
     def _return(self, kept, pose, twist):
         work = self._work
-        own = (work.pose, work.twist, work.angle, work.held, work.modes, pose, twist)
+        own = (work.pose, work.twist, work.angle, *self._all_modes, pose, twist)
         for part, values in zip(own, kept):
             part[:] = values
 

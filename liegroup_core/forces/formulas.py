@@ -9,7 +9,11 @@ register of its own, and equal expressions share one. A register is a pair (valu
 `evaluate` computes the values, `differentiate` also the derivatives, by the forward mode of automatic differentiation.
 
 A value that is not defined (the root of a negative number) is NaN, and one beyond the largest number is infinite:
-the step that meets it fails. A condition is 1 or 0; at a kink the derivative is that of one side. Source: Griewank and
+the step that meets it fails. A condition is 1 or 0; at a kink the derivative is that of one side.
+
+A comparison, min, max, abs or table has branches, and is smooth within one. Its operand c is a register with the
+branch that holds: 0, that of the arguments; else the given one goes on beyond its end, so that a step of any method
+sees a smooth function. `distances` are those to the ends of the branch, for events/crossings.py. Source: Griewank and
 Walther, Evaluating Derivatives, chapter 3. Accuracy: test/core/test_laws.py, against 50 digits.
 """
 
@@ -80,6 +84,9 @@ DEEPEST = 200  # levels of its tree
 MOST_INSTRUCTIONS = 20000  # of all formulas of a scene
 MOST_FACTORS = 16  # of a power that is computed by products
 _LARGEST_EXPONENT = 709.78  # exp of more exceeds the largest number
+BRANCHED = (LESS, LESS_EQUAL, MIN, MAX, ABS, TABLE)
+# Branches: of two arguments a > b and a < b, of abs a > 0 and a < 0; of a table see `branch_of_segment`.
+UNKNOWN, OPEN, ABOVE, BELOW = 0.0, 0.5, 1.0, -1.0  # UNKNOWN and OPEN: that of the arguments at any time
 
 
 class FormulaError(ValueError):
@@ -123,8 +130,19 @@ class Program:
             if len(self.code) >= MOST_INSTRUCTIONS:
                 raise FormulaError(f"the formulas of a scene must have at most {MOST_INSTRUCTIONS} operations")
             self._known[key] = to = self.new()
-            self.code.append((operation, to, a, b, c))
+            self.code.append((operation, to, a, b, self.new() if operation in BRANCHED else c))
         return self._known[key]
+
+    def branched(self, varying):
+        """[number of an instruction] with branches, whose arguments depend on a set of registers."""
+        varying, found = set(varying), []
+        for i, (operation, to, a, b, c) in enumerate(self.code):
+            given = (a,) if operation in (ABS, TABLE) else (a, b) if operation in BRANCHED else (a, b, c)
+            if varying.intersection(given):
+                varying.add(to)
+                if operation in BRANCHED:
+                    found.append(i)
+        return found
 
     def compile(self, text, names, tables=()):
         """Register of the value of a formula.
@@ -323,16 +341,67 @@ def _slope(points, k):
 
 
 @kernel
-def _of_table(begins, points, number, x):
+def branch_of_segment(k):
+    """Branch of a segment of a table, see `_segment`."""
+    return k + 3.0
+
+
+@kernel
+def _segment_in(begins, points, number, x, branch):
+    """Segment of a branch, or that of x."""
+    return int(branch) - 3 if abs(branch) >= 1.0 else _segment(begins, points, number, x)
+
+
+@kernel
+def _of_table(begins, points, number, x, branch):
     """Value of a table by linear interpolation; before and after its points that of the end."""
     if x != x:
         return x
-    k = _segment(begins, points, number, x)
+    k = _segment_in(begins, points, number, x, branch)
     if k == -1:
         return points[begins[number], 1]
     if k == -2:
         return points[begins[number + 1] - 1, 1]
     return points[k, 1] + _slope(points, k) * (x - points[k, 0])
+
+
+@kernel
+def present_branch(operation, a, b, begins, points, number):
+    """Branch of an operation that its arguments are in. At a = b it is that of the value there."""
+    if operation == TABLE:
+        return branch_of_segment(_segment(begins, points, number, a))
+    if operation == ABS:
+        b = 0.0
+    return ABOVE if a > b or operation == LESS and a == b else BELOW
+
+
+@kernel
+def distances(operation, a, b, branch, begins, points, number):
+    """(distance to the lower end of a branch, to the upper end), negative beyond it; infinite: no end."""
+    if not abs(branch) >= 1.0:
+        return math.inf, math.inf
+    if operation == TABLE:
+        k = _segment_in(begins, points, number, a, branch)
+        if k == -1:
+            return math.inf, points[begins[number], 0] - a
+        if k == -2:
+            return a - points[begins[number + 1] - 1, 0], math.inf
+        return a - points[k, 0], points[k + 1, 0] - a
+    way = a if operation == ABS else a - b
+    return (way if branch > 0.0 else -way), math.inf
+
+
+@kernel
+def _of_branch(operation, a, b, branch):
+    """Value of an operation of two arguments, or of abs, in a branch."""
+    above = branch > 0.0
+    if operation == MIN:
+        return b if above else a
+    if operation == MAX:
+        return a if above else b
+    if operation == ABS:
+        return a if above else -a
+    return 0.0 if above else 1.0  # a comparison
 
 
 @kernel
@@ -352,16 +421,16 @@ def _value(operation, a, b, c, begins, points, number):
         return math.sin(a) if abs(a) < math.inf else math.nan
     if operation == COS:
         return math.cos(a) if abs(a) < math.inf else math.nan
-    if operation == MIN:
-        return b if b < a or b != b else a
-    if operation == MAX:
-        return b if b > a or b != b else a
     if operation == SELECT:
         return b if a != 0.0 else c
+    if operation == MIN:
+        return _of_branch(operation, a, b, c) if abs(c) >= 1.0 else (b if b < a or b != b else a)
+    if operation == MAX:
+        return _of_branch(operation, a, b, c) if abs(c) >= 1.0 else (b if b > a or b != b else a)
     if operation == LESS:
-        return 1.0 if a < b else 0.0
+        return _of_branch(operation, a, b, c) if abs(c) >= 1.0 else (1.0 if a < b else 0.0)
     if operation == LESS_EQUAL:
-        return 1.0 if a <= b else 0.0
+        return _of_branch(operation, a, b, c) if abs(c) >= 1.0 else (1.0 if a <= b else 0.0)
     if operation == EQUAL:
         return 1.0 if a == b else 0.0
     if operation == AND:
@@ -371,7 +440,7 @@ def _value(operation, a, b, c, begins, points, number):
     if operation == NOT:
         return 1.0 if a == 0.0 else 0.0
     if operation == ABS:
-        return abs(a)
+        return _of_branch(operation, a, b, c) if abs(c) >= 1.0 else abs(a)
     if operation == SQRT:
         return math.sqrt(a) if a >= 0.0 else math.nan
     if operation == EXP:
@@ -392,7 +461,7 @@ def _value(operation, a, b, c, begins, points, number):
         return math.acos(a) if abs(a) <= 1.0 else math.nan
     if operation == POWER:
         return _power(a, b)
-    return _of_table(begins, points, number, a)
+    return _of_table(begins, points, number, a, c)
 
 
 @kernel
@@ -420,14 +489,15 @@ def _change(operation, value, a, b, c, da, db, dc, begins, points, number):
         return math.cos(a) * da if abs(a) < math.inf else math.nan
     if operation == COS:
         return -math.sin(a) * da if abs(a) < math.inf else math.nan
-    if operation == MIN:
-        return db if b < a or b != b else da
-    if operation == MAX:
-        return db if b > a or b != b else da
     if operation == SELECT:
         return db if a != 0.0 else dc
-    if operation == ABS:
-        return da if a > 0.0 else (-da if a < 0.0 else 0.0)
+    if operation == MIN or operation == MAX or operation == ABS:
+        if abs(c) >= 1.0:
+            return _of_branch(operation, da, db, c)
+        if operation == ABS:
+            return da if a > 0.0 else (-da if a < 0.0 else 0.0)
+        other = b < a if operation == MIN else b > a
+        return db if other or b != b else da
     if operation == SQRT:
         return _over(0.5 * da, value)
     if operation == EXP:
@@ -450,7 +520,7 @@ def _change(operation, value, a, b, c, da, db, dc, begins, points, number):
         by_exponent = _times(value * math.log(a), db) if a > 0.0 else (0.0 if db == 0.0 or a == 0.0 else math.nan)
         return by_base + by_exponent
     if operation == TABLE:
-        k = _segment(begins, points, number, a)
+        k = _segment_in(begins, points, number, a, c)
         return 0.0 if k < 0 else _slope(points, k) * da
     return 0.0  # a condition
 

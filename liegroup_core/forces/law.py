@@ -13,6 +13,8 @@ States have a start and a rate, a formula that may use all signals. A state is t
 order, error control and derivatives. After a step its value is kept behind the unwrapped angles.
 
 All laws of a scene are one program, evaluated once a stage. Its registers are memory of a run; the first is the time.
+Where a comparison, min, max, abs or table changes its branch is an event, which Munthe-Kaas methods locate
+(events/crossings.py); other methods take the branch of each stage.
 """
 
 from keyword import iskeyword
@@ -29,7 +31,21 @@ from liegroup_core.lie.vec3 import add3, cross3, dot3, load3, load9, tmatvec3, v
 
 from . import axis
 from .described import Force
-from .formulas import RESERVED, TIME, FormulaError, Program, differentiate, evaluate, names_in, table_arrays
+from .formulas import (
+    RESERVED,
+    TABLE,
+    TIME,
+    UNKNOWN,
+    FormulaError,
+    Program,
+    branch_of_segment,
+    differentiate,
+    distances,
+    evaluate,
+    names_in,
+    present_branch,
+    table_arrays,
+)
 from .points import point, point_velocity
 
 POSITION, RATE, PLACE, ATTITUDE, SPIN, SPEED = range(6)  # what an input is
@@ -71,6 +87,7 @@ class Laws(Struct):
 
     inputs: np.ndarray  # (k,) of INPUT
     code: np.ndarray  # (p, 5) instructions
+    kinks: np.ndarray  # (q,) those with branches that can change
     tables: np.ndarray  # (t + 1,) first points of the tables
     points: np.ndarray  # (n, 2) their points
     outputs: np.ndarray  # (o,) of OUTPUT
@@ -390,9 +407,11 @@ def make_laws(described, index, ends, angles, slides):
     begins, points = table_arrays(program.tables)
     registers = np.zeros((len(program.registers), 2))
     registers[:, 0] = program.registers
+    varying = [0, *(each[2] for each in inputs), *(value for value, _ in states)]
     return Laws(
         inputs=np.array(inputs, dtype=INPUT),
         code=np.array(program.code, dtype=np.int64).reshape(-1, 5),
+        kinks=np.array(program.branched(varying), dtype=np.int64),
         tables=begins,
         points=points,
         outputs=np.array(outputs, dtype=OUTPUT),
@@ -402,6 +421,17 @@ def make_laws(described, index, ends, angles, slides):
         registers=registers,
         timed=any(law.uses_time for law in laws_of(described)),
     )
+
+
+def next_branch(laws, branch, k, above):
+    """Branch of kink k beyond the lower or the upper end of a branch."""
+    operation, _, _, number, _ = laws.code[laws.kinks[k]]
+    if operation != TABLE:
+        return -branch
+    first, last = branch_of_segment(-1), branch_of_segment(-2)
+    segments = laws.tables[number + 1] - laws.tables[number] - 1
+    place = {first: -1.0, last: float(segments)}.get(branch, branch - branch_of_segment(0)) + (1.0 if above else -1.0)
+    return first if place < 0.0 else last if place >= segments else place + branch_of_segment(0)
 
 
 @kernel
@@ -494,10 +524,59 @@ def _add(body, torque, force, wrench_out):
 
 
 @kernel
+def set_branches(laws, branches, registers):
+    """Set the branches (q,) of the kinks."""
+    for k in range(len(laws.kinks)):
+        registers[laws.code[laws.kinks[k], 4], 0] = branches[k]
+
+
+@kernel
+def distances_in(laws, branch, registers, k):
+    """Distances of kink k to the ends of a branch, at computed registers, see formulas.distances."""
+    i = laws.kinks[k]
+    a, b = laws.code[i, 2], laws.code[i, 3]
+    return distances(laws.code[i, 0], registers[a, 0], registers[b, 0], branch, laws.tables, laws.points, b)
+
+
+@kernel
+def branch_of(laws, registers, k):
+    """Branch of kink k, at computed registers."""
+    i = laws.kinks[k]
+    a, b = laws.code[i, 2], laws.code[i, 3]
+    return present_branch(laws.code[i, 0], registers[a, 0], registers[b, 0], laws.tables, laws.points, b)
+
+
+@kernel
+def _are_numbers(laws, registers, column):
+    """Whether no output and no rate of a state is NaN."""
+    found = True
+    for e in range(len(laws.outputs)):
+        at = laws.outputs[e]["registers"]
+        for k in range(6):
+            found = found and registers[at[k], column] == registers[at[k], column]
+    for s in range(len(laws.states)):
+        at = laws.states[s, 1]
+        found = found and registers[at, column] == registers[at, column]
+    return found
+
+
+@kernel
+def _open_branches(laws, registers, column):
+    """Whether a branch has no values beyond its end, as a root has none; then all are those of the arguments."""
+    if len(laws.kinks) == 0 or _are_numbers(laws, registers, column):
+        return False
+    for k in range(len(laws.kinks)):
+        registers[laws.code[laws.kinks[k], 4], 0] = UNKNOWN
+    return True
+
+
+@kernel
 def measure(laws, angle, pose, twist, registers):
     """Compute all registers (m, 2) in a state; those of the time, the first one, and of states are given."""
     _read(laws, angle, pose, twist, registers)
     evaluate(laws.code, laws.tables, laws.points, registers)
+    if _open_branches(laws, registers, 0):
+        evaluate(laws.code, laws.tables, laws.points, registers)
 
 
 @kernel
@@ -546,6 +625,8 @@ def add_change(laws, angle, registers, pose, twist, moves, rates, wrench_out):
     _read(laws, angle, pose, twist, registers)
     _read_changes(laws, pose, twist, moves, rates, registers)
     differentiate(laws.code, laws.tables, laws.points, registers)
+    if _open_branches(laws, registers, 1):
+        differentiate(laws.code, laws.tables, laws.points, registers)
     for e in range(len(laws.outputs)):
         row = laws.outputs[e]
         body = row["body"]

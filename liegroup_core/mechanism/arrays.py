@@ -275,9 +275,10 @@ class RelativeWork(Struct):
     # accelerations; then both of the previous iteration: see loads.py
     loads: np.ndarray = shaped("switches", 4)
     iteration: np.ndarray = shaped(3)  # 1 if the loads are given; 1 if they did not converge; scratch
-    guards: np.ndarray = shaped("switches", 5)  # distance of each switch to its next events
-    course: np.ndarray = shaped(NODES, "switches", 2)  # the last two guards at some stages: see events/crossings.py
-    crossed: np.ndarray = shaped("switches", 5)  # fraction of the step by which each event has occurred, or -1
+    branches: np.ndarray = shaped("branches")  # of the kinks of laws: forces/formulas.py
+    guards: np.ndarray = shaped("guards", 5)  # distance of each switch, then of each branch, to its next events
+    course: np.ndarray = shaped(NODES, "guards", 2)  # the last two guards at some stages: see events/crossings.py
+    crossed: np.ndarray = shaped("guards", 5)  # fraction of the step by which each event has occurred, or -1
     watch: np.ndarray = shaped(3)  # WATCHED, BEGIN, SPAN
     wrench: np.ndarray = shaped("bodies", 6)  # wrenches on the bodies
     relative: np.ndarray = shaped("links", 12)  # pose of each link in its parent link
@@ -312,7 +313,7 @@ def make_relative_work(model, work, stages):
     n, links, rows = len(model.bodies), len(model.links), len(model.row_residual)
     freedoms = int(model.links["freedoms"].sum())
     blocks = stages + 1 + FURTHER
-    in_plane = isinstance(model, PlaneModel)
+    in_plane, kinks = isinstance(model, PlaneModel), len(model.space.forces.laws.kinks)
     sizes = dict(
         bodies=n,
         state=n + links,
@@ -321,6 +322,8 @@ def make_relative_work(model, work, stages):
         rows=rows,
         held=freedoms + rows,
         switches=len(model.switches),
+        branches=kinks,
+        guards=len(model.switches) + kinks,
         slopes=blocks * freedoms,
         errors=2 * links,
         residuals=int(model.elements["rows"].sum()),

@@ -62,7 +62,7 @@ class MuntheKaas:
         self.add(method)
         self._passage = SameTypes(passage)
         self.switching = None
-        if len(self._model.switches):
+        if len(self._work.guards):
             self.switching = Switching(self._model, self._work, self._pass, self._step, self._control, self._lead)
         self.restart()
 
@@ -220,7 +220,8 @@ class MuntheKaas:
             if self._may_run_ahead
             else ()
         )
-        return (*control, *links_of(work), *lead)
+        branches = (work.branches,) if len(work.branches) else ()
+        return (*control, *links_of(work), *lead, *branches)
 
     @property
     def substeps(self):
