@@ -7,6 +7,7 @@ from time import thread_time
 
 import numpy as np
 
+from liegroup_core.forces.law import owners_of_kinks
 from liegroup_core.joints.limits import BeyondLimits
 from liegroup_core.joints.motion import at, overshoot
 from liegroup_core.mechanism.bodies import LARGEST_TURN, NEAR_SOLVES, SINGULAR_SOLVES, STEP_TURN
@@ -150,13 +151,18 @@ def _cause_of_cost(engine):
     switching, steps = engine._switching, max(1, engine.steps)
     accepted, attempted = engine.substeps
     if switching is not None and switching.tally.sum() * STEPS_OF_EVENT > max(attempted, steps):
-        tally, names = switching.tally, [switch.name for switch in engine.layout.switches]
+        tally, joints, laws = switching.tally, engine.layout.switches, engine.layout.model.forces.laws
+        names = [switch.name for switch in joints] + owners_of_kinks(engine.scene.forces, laws.kinks)
         most = np.argsort(-tally, kind="stable")[:3]
         shown = ", ".join(f"{names[k]} ({tally[k]})" for k in most if tally[k])
-        return (
-            f"{tally.sum()} events of stops and friction, most at {shown}; give these joints a wider "
-            "range, compliant stops or less restitution, or leave their limits and friction out"
-        )
+        if most[0] >= len(joints):
+            advice = "a law that jumps back and forth needs a smooth change, such as tanh, or friction of the joint"
+        else:
+            advice = (
+                "give these joints a wider range, compliant stops or less restitution, or leave their limits and "
+                "friction out"
+            )
+        return f"{tally.sum()} events of stops, friction and laws, most at {shown}; {advice}"
     stiff = [note for note in engine.scene.notes if note.startswith("stiff:")]
     if attempted > FEW * steps:
         fewer = "a coarser accuracy" if _to_accuracy(engine) else "a larger tolerance"

@@ -21,16 +21,18 @@ from .free_bodies import copy_bodies, copy_links
 from .trees import move_links
 
 
-def model_and_work(layout, group, options, stages):
+def model_and_work(layout, group, options, stages, locates=False):
     """(model, its work, Work of the bodies) of an integrator.
 
     options : "space": "auto" for the plane of a planar mechanism, or "space"
+    locates : whether it finds the times at which laws change their branches
     """
     work = make_work(layout.model, stages)
     model = layout.floating(group) if group in FLOATING else layout.relative
     if options["space"] == "space" and model is layout.relative:
         model = layout.relative_in_space
-    return model, make_relative_work(model, work, stages), work
+    kinks = len(layout.model.forces.laws.kinks) if locates else 0
+    return model, make_relative_work(model, work, stages, kinks), work
 
 
 @kernel

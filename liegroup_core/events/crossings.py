@@ -97,7 +97,7 @@ def note_guards(model, work, row):
 def _close_branch(work, weights, k, row):
     """Let a branch that is OPEN hold, if all saved stages of the substep have it, and lead away from its end."""
     now = work.course[END, row, 0]
-    if work.course[END, row, 1] < work.course[START, row, 1]:
+    if not work.course[END, row, 1] > work.course[START, row, 1]:
         return
     for node in range(NODES):
         if node == START or node == END or weights[0, 0, node] != 0.0:

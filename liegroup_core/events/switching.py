@@ -56,7 +56,7 @@ class Switching(EventTimes):
     instants : [JointInstant] since they were last taken; None: not recorded
     count   : number of events since the state was set
     endless : (time in s, switches) of the first impacts without end that became plastic, or None
-    tally   : (k,) number of instants at which a guard of each switch was zero, since the state was set
+    tally   : (g,) number of instants at which a guard of each switch and branch was zero, since the state was set
     """
 
     def __init__(self, model, work, take, step, control, lead):
@@ -64,7 +64,7 @@ class Switching(EventTimes):
         self._lead = lead
         self.instants, self.count = None, 0
         self.endless = self._inputs = None
-        self.tally = np.zeros(len(model.switches), dtype=int)
+        self.tally = np.zeros(len(work.guards), dtype=int)
         self._branch_times = np.full(len(work.branches), -np.inf)  # s, of the last event of each in a step
         work.watch[WATCHED] = 1.0
 
@@ -263,13 +263,13 @@ class Switching(EventTimes):
                 # Impacts that converge do so by then; so many in so short a time do not.
                 self.has_many = len(times) > MOST_EVENTS // 2
                 self.is_dense = self.has_many and elapsed - times[-DENSE] < SHORT * h
-                own = crossed[: len(self.tally)].any(axis=1)
-                if self.is_dense and self.endless is None and own.any():
-                    self.endless = start + elapsed, np.flatnonzero(own).tolist()
+                crosses = crossed.any(axis=1)
+                if self.is_dense and self.endless is None and crosses[: len(work.modes)].any():
+                    self.endless = start + elapsed, np.flatnonzero(crosses[: len(work.modes)]).tolist()
                 status = self._switch(start + elapsed, state, crossed)
                 if status != OK:
                     return status
-                self.tally += own
+                self.tally += crosses
             if not elapsed < h * (1.0 - 1e-13):
                 return OK
             work.clock.count[0], work.clock.offset[0] = 0.0, start + elapsed
@@ -300,13 +300,13 @@ class Switching(EventTimes):
         """
         work, time = self._work, float(time)  # users read it in the events
         work.clock.now[0] = time
-        crossed, ends = np.split(crossed, [len(self.tally)])
+        crossed, ends = np.split(crossed, [len(work.modes)])
         self._change_branches(time, ends)
         status = self._look(self._model, work, *state)
-        if status == OK and len(self.tally):
+        if status == OK and len(work.modes):
             status = self._change_modes(time, state, crossed)
         # Impulses change rates, and what laws do with them.
-        left = (work.guards[len(self.tally) :, LEAST:] < 0.0).any(axis=1) & ~ends.any(axis=1)
+        left = (work.guards[len(work.modes) :, LEAST:] < 0.0).any(axis=1) & ~ends.any(axis=1)
         if status == OK and left.any():
             work.branches[left] = UNKNOWN
             status = self._look(self._model, work, *state)

@@ -98,11 +98,12 @@ class Program:
 
     registers : [float] start values, of which numbers and parameters keep theirs
     code      : [(operation, to, a, b, c)]
+    owners    : [name] of the law of each instruction
     tables    : [(x, y)], points of each table
     """
 
     def __init__(self):
-        self.registers, self.code, self.tables = [0.0], [], []
+        self.registers, self.code, self.owners, self.tables = [0.0], [], [], []
         self._numbers, self._known = {}, {}
 
     def new(self, value=0.0):

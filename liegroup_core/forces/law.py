@@ -13,7 +13,7 @@ States have a start and a rate, a formula that may use all signals. A state is t
 order, error control and derivatives. After a step its value is kept behind the unwrapped angles.
 
 All laws of a scene are one program, evaluated once a stage. Its registers are memory of a run; the first is the time.
-Where a comparison, min, max, abs or table changes its branch is an event, which Munthe-Kaas methods locate
+Where a comparison, min, max, abs or table changes its branch is an event, which methods with error control locate
 (events/crossings.py); other methods take the branch of each stage.
 """
 
@@ -370,8 +370,14 @@ def _compile_all(described):
     program, signals, found = Program(), {}, []
     for law in laws_of(described):
         found.append((law, law.compile(program, signals)))
+        program.owners += [law.name] * (len(program.code) - len(program.owners))
         signals |= {f"{law.name}.{name}": register for name, register in found[-1][1].shown.items()}
     return program, signals, found
+
+
+def owners_of_kinks(described, kinks):
+    """Names of the laws of kinks, the numbers of instructions."""
+    return [_compile_all(described)[0].owners[i] for i in kinks]
 
 
 def states_of(described):
@@ -525,8 +531,8 @@ def _add(body, torque, force, wrench_out):
 
 @kernel
 def set_branches(laws, branches, registers):
-    """Set the branches (q,) of the kinks."""
-    for k in range(len(laws.kinks)):
+    """Set the branches (q,) of the kinks; (0,): those of the arguments hold."""
+    for k in range(len(branches)):
         registers[laws.code[laws.kinks[k], 4], 0] = branches[k]
 
 

@@ -275,7 +275,7 @@ class RelativeWork(Struct):
     # accelerations; then both of the previous iteration: see loads.py
     loads: np.ndarray = shaped("switches", 4)
     iteration: np.ndarray = shaped(3)  # 1 if the loads are given; 1 if they did not converge; scratch
-    branches: np.ndarray = shaped("branches")  # of the kinks of laws: forces/formulas.py
+    branches: np.ndarray = shaped("branches")  # of the kinks of laws, with error control: forces/formulas.py
     guards: np.ndarray = shaped("guards", 5)  # distance of each switch, then of each branch, to its next events
     course: np.ndarray = shaped(NODES, "guards", 2)  # the last two guards at some stages: see events/crossings.py
     crossed: np.ndarray = shaped("guards", 5)  # fraction of the step by which each event has occurred, or -1
@@ -308,12 +308,15 @@ class RelativeWork(Struct):
     errors: np.ndarray = shaped("errors", 12)  # error estimates of the links, two rows each: xi, eta, dw, dv
 
 
-def make_relative_work(model, work, stages):
-    """Allocate the scratch memory of a RelativeModel; work: Work of the same mechanism."""
+def make_relative_work(model, work, stages, kinks=0):
+    """Allocate the scratch memory of a RelativeModel; work: Work of the same mechanism.
+
+    kinks : number of those of laws whose branches hold within a substep
+    """
     n, links, rows = len(model.bodies), len(model.links), len(model.row_residual)
     freedoms = int(model.links["freedoms"].sum())
     blocks = stages + 1 + FURTHER
-    in_plane, kinks = isinstance(model, PlaneModel), len(model.space.forces.laws.kinks)
+    in_plane = isinstance(model, PlaneModel)
     sizes = dict(
         bodies=n,
         state=n + links,
