@@ -162,7 +162,7 @@ def _cause_of_cost(engine):
                 "give these joints a wider range, compliant stops or less restitution, or leave their limits and "
                 "friction out"
             )
-        return f"{tally.sum()} events of stops, friction and laws, most at {shown}; {advice}"
+        return f"{tally.sum()} events, most at {shown}; {advice}"
     stiff = [note for note in engine.scene.notes if note.startswith("stiff:")]
     if attempted > FEW * steps:
         fewer = "a coarser accuracy" if _to_accuracy(engine) else "a larger tolerance"

@@ -35,16 +35,18 @@ STOP, LEAVE, STICK, SLIDE = "stop", "leave", "stick", "slip"
 
 
 class JointInstant(NamedTuple):
-    """Modes of all joints with stops or friction where one of them changes.
+    """Modes of all joints with stops or friction, and branches of laws, where one of them changes.
 
-    time   : s
-    modes  : (k, 5) from then on, as Sample.switching
-    events : [JointEvent] of this time; none where a run starts
+    time     : s
+    modes    : (k, 5) from then on, as Sample.switching
+    events   : [JointEvent] of this time; none where a run starts, and of laws
+    branches : (q,) of the kinks of laws, see forces/formulas.py
     """
 
     time: float
     modes: np.ndarray
     events: list
+    branches: np.ndarray
 
 
 class Switching(EventTimes):
@@ -299,7 +301,7 @@ class Switching(EventTimes):
         returns a status
         """
         work, time = self._work, float(time)  # users read it in the events
-        work.clock.now[0] = time
+        work.clock.now[0], log = time, len(self.events)
         crossed, ends = np.split(crossed, [len(work.modes)])
         self._change_branches(time, ends)
         status = self._look(self._model, work, *state)
@@ -310,6 +312,9 @@ class Switching(EventTimes):
         if status == OK and left.any():
             work.branches[left] = UNKNOWN
             status = self._look(self._model, work, *state)
+        if status == OK and self.instants is not None:
+            here = self.present_modes(), self.events[log:], work.branches.copy()
+            self.instants.append(JointInstant(time, *here))
         return status
 
     def _change_modes(self, time, state, crossed):
@@ -357,8 +362,6 @@ class Switching(EventTimes):
         self._merge_impacts(log, impacts)
         self._note(time, before)
         self.count += len(self.events) - log
-        if self.instants is not None:
-            self.instants.append(JointInstant(time, self.present_modes(), self.events[log:]))
         return OK
 
     def _change_branches(self, time, ends):

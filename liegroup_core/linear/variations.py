@@ -10,7 +10,7 @@ the last coefficients of the polynomials.
 The differences are displacements and rates of all freedoms of the tree. Each interval has independent coordinates of
 its own; those that stops or friction hold are among them, as they may differ, too.
 
-At an event of stops or dry friction differences jump: the event comes earlier or later. From a step before it to a
+At an event of stops, dry friction or a law differences jump: the event comes earlier or later. From a step before it to a
 step after it they are differences of order six between neighbouring runs, so that every event acts as it does.
 """
 
@@ -87,7 +87,7 @@ class Variations:
     def _events(self, end_ns):
         """[(start, end)] in ns of the steps of the run that cross events up to a time."""
         run, found = self._near, []
-        if not run.layout.switches:
+        if not (run.layout.switches or len(run.layout.model.forces.laws.kinks)):
             return found
         start = run.snapshot()
         run.drain_instants()  # kept from now on
@@ -311,8 +311,8 @@ class Variations:
     def _events_at(run, start_ns, times):
         """For each time in ns: modes and events after each change of the modes since the start."""
         found = [
-            (1e9 * instant.time, instant.modes[:, :3].tolist(), [(each.joint, each.kind) for each in instant.events])
-            for instant in run.drain_instants()
+            (1e9 * one.time, one.modes[:, :3].tolist(), one.branches.tolist(), [event[1:3] for event in one.events])
+            for one in run.drain_instants()
         ]
         return [[rest for when, *rest in found if start_ns + 0.5 < when <= time] for time in times]
 

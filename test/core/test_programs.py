@@ -16,7 +16,7 @@ from liegroup_core.scene.load import scene_from_text
 
 SCENES = (
     *("lagrangian_top", "heavy_top", "four_bar", "slider_crank", "driven_arm", "flyball_governor", "hinge_chain"),
-    *("stick_slip", "cable", "gripper", "door", "controlled"),
+    *("stick_slip", "cable", "gripper", "door", "controlled", "kinked"),
 )
 # A law with states, kinks and the time, on a mechanism with a stop.
 CONTROLLED = """
@@ -45,6 +45,11 @@ forces:
             {body: tip, force: [-x, 0.1*sin(30*t), i], axes: world}]
 - {name: hold, type: servo, joint: hinge, stiffness: 2, damping: 0.1}
 """
+# The same without the stop, with jumps of an effort that leads back to one of them.
+KINKED = CONTROLLED.replace(",\n   limits: {lower: -0.3, upper: 0.95, restitution: 0.5}", "").replace(
+    "effort: a}", 'effort: "a - 0.3*(1 if w > 0 else -1) - 4*max(q - 0.4, 0)"}'
+)
+OWN = {"controlled": CONTROLLED, "kinked": KINKED}
 ACCURACIES = ({"accuracy": 1e-5}, {"accuracy": 1e-3, "horizon": 5.0, "step": 0.1}, {"accuracy": 1e-9, "step": 2e-3})
 SECONDS, COMMANDS = 0.25, 10
 PAIRS = some(range(5000), 60)
@@ -164,7 +169,7 @@ def cases():
 
 def scene_of(name):
     """Scene of SCENES."""
-    return scene_from_text(CONTROLLED, name) if name == "controlled" else load_scene(name)
+    return scene_from_text(OWN[name], name) if name in OWN else load_scene(name)
 
 
 @pytest.mark.parametrize("part", range(4))

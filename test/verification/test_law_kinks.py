@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose
 
 from liegroup_core import Simulation
 from liegroup_core.forces.formulas import OPEN
+from liegroup_core.linear import sensitivities
 from liegroup_core.scene.load import scene_from_text
 
 START = 0.3  # m, of the cart of 1 kg: its acceleration is the effort
@@ -131,3 +132,17 @@ def test_a_state_that_is_set_finds_its_branch():
     simulation.place(joints={"rail": (-0.2, 0.0)})
     q, v = end_of(simulation, 0.1)
     assert_allclose((q, v), (-0.2 * math.cos(0.5), math.sin(0.5)), atol=1e-6)
+
+
+def test_sensitivities_jump_with_the_slope_at_an_event():
+    """d q / d F of the parabolas: q(t) = q0 s(F t) with arcs of F, against differences of the closed form."""
+
+    def known(force, time=1.7):
+        # A force F for the time t is a force of 1 N for sqrt(F) t.
+        return parabolas(math.sqrt(force) * time)[0]
+
+    scene = cart("-F if q > 0 else F", parameters={"F": 1.3})
+    found = sensitivities(scene, ["own.parameters.F"], [1.7], ["rail.position"])
+    slope = (known(1.3 + 1e-5) - known(1.3 - 1e-5)) / 2e-5  # round-off 1e-11
+    assert found.derivatives.item() == pytest.approx(slope, abs=1e-9)
+    assert found.errors.item() < 1e-9
