@@ -10,7 +10,7 @@ the last coefficients of the polynomials.
 The differences are displacements and rates of all freedoms of the tree. Each interval has independent coordinates of
 its own; those that stops or friction hold are among them, as they may differ, too.
 
-At an event of stops, dry friction or a law differences jump: the event comes earlier or later. From a step before it to a
+At an event of stops, friction or a law differences jump: the event comes earlier or later. From a step before it to a
 step after it they are differences of order six between neighbouring runs, so that every event acts as it does.
 """
 
