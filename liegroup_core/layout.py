@@ -15,7 +15,7 @@ from liegroup_core.forces.acting import Acting
 from liegroup_core.forces.applied_wrench import wrenches_of
 from liegroup_core.forces.commands import MOTION, SCENE, Command
 from liegroup_core.forces.joint_effort import unit_wrenches
-from liegroup_core.forces.law import laws_of, signals_of, states_of
+from liegroup_core.forces.law import held_of, laws_of, signals_of, states_of
 from liegroup_core.joints.coupling import COUPLED
 from liegroup_core.joints.kinds import ROLLING
 from liegroup_core.joints.limits import limits_of
@@ -270,8 +270,8 @@ class Layout:
 
     @cached_property
     def states(self):
-        """Names of the states of laws, LAW.STATE, in the order of `angles`."""
-        return tuple(name for name, _ in states_of(self.scene.forces))
+        """Names of what sampled laws hold and of the states of laws, LAW.STATE, in the order of `angles`."""
+        return (*held_of(self.scene.forces), *(name for name, _ in states_of(self.scene.forces)))
 
     @cached_property
     def law_efforts(self):
@@ -374,7 +374,7 @@ class Layout:
         return Sample(self, time, time_ns, steps, pose, twist, near)
 
     def angles(self, pose, near=None):
-        """Unwrapped angles (k,), see `Scene.unwrapped`, at a pose (n, 12), rad, then states of laws.
+        """Unwrapped angles (k,), see `Scene.unwrapped`, at a pose (n, 12), rad, then numbers of laws, see `states`.
 
         near : see `sample`
         """

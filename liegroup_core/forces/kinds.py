@@ -71,13 +71,14 @@ def registers_at(forces, time, angles):
     """Registers (m, 2) of the laws for a call of their kernels at a time in s; angles : see `count`."""
     registers = forces.laws.registers.copy()
     registers[0, 0] = time
-    registers[forces.laws.states[:, 0], 0] = angles[len(forces.counted) :]
+    states = forces.laws.states[:, 0]
+    registers[states, 0] = angles[len(angles) - len(states) :]
     return registers
 
 
 def count(forces):
-    """Number of unwrapped angles and, after them, states of laws that a run keeps."""
-    return len(forces.counted) + len(forces.laws.states)
+    """Number of unwrapped angles and, after them, held numbers of sampled laws and states that a run keeps."""
+    return len(forces.counted) + len(forces.laws.start)
 
 
 def make_forces(described, index, ends, counted, slides=()):
@@ -104,7 +105,9 @@ def make_forces(described, index, ends, counted, slides=()):
         spring_damper=rows(spring_damper, SpringDamper),
         joint_law=np.array(at_joints, dtype=joint_law.ROW),
         drag=rows(drag, Drag),
-        laws=law.make_laws(described, index, ends, {joint: i for i, (joint, _) in enumerate(counted)}, slides),
+        laws=law.make_laws(
+            described, index, ends, {joint: i for i, (joint, _) in enumerate(counted)}, slides, len(counted)
+        ),
         counted=np.array([axis.fields(False, *ends[joint]) for joint, _ in counted], dtype=axis.ROW),
         exist=any(not isinstance(force, ConstantWrench) for force in described),
     )
@@ -133,9 +136,13 @@ def unwrapped(described, coupled=(), turning=()):
 
 
 def target_values(forces):
-    """Target position and velocity (k, 2) of all servos without a command."""
+    """Target position and velocity (k, 2) of all servos without a command.
+
+    With sampled laws a last row has the time of their last instant: what was computed for another one is computed again
+    """
     rows = forces.joint_law[forces.joint_law["target"] >= 0]
-    return np.array(rows[["position", "velocity"]].tolist(), dtype=float).reshape(-1, 2)
+    targets = [*rows[["position", "velocity"]].tolist(), *([(0.0, 0.0)] if len(forces.laws.held) else [])]
+    return np.array(targets, dtype=float).reshape(-1, 2)
 
 
 @kernel

@@ -13,8 +13,14 @@ States have a start and a rate, a formula that may use all signals. A state is t
 order, error control and derivatives. After a step its value is kept behind the unwrapped angles.
 
 All laws of a scene are one program, evaluated once a stage. Its registers are memory of a run; the first is the time.
+
+A law with a period is evaluated at exact instants, by instructions of its own (sampled.py). Its signals and outputs are
+numbers that are held in between: they are kept behind the unwrapped angles, before the states.
 """
 
+import math
+from contextlib import nullcontext
+from itertools import chain
 from keyword import iskeyword
 from typing import Annotated, Literal, NamedTuple
 
@@ -23,13 +29,25 @@ from pydantic import BeforeValidator, Field, WithJsonSchema, model_validator
 
 from liegroup_core.compiling import Struct, kernel
 from liegroup_core.errors import SceneError
-from liegroup_core.fields.values import Described, Name, Number, Positive, Text, Vector3, listed, place_text, suggestion
+from liegroup_core.fields.values import (
+    Described,
+    Name,
+    NotNegative,
+    Number,
+    Positive,
+    Text,
+    Vector3,
+    listed,
+    place_text,
+    suggestion,
+)
 from liegroup_core.lie.so3 import so3_to_quaternion
 from liegroup_core.lie.vec3 import add3, cross3, dot3, load3, load9, tmatvec3, vector3
 
 from . import axis
 from .described import Force
 from .formulas import RESERVED, TIME, FormulaError, Program, differentiate, evaluate, names_in, table_arrays
+from .instants import exact_seconds
 from .points import point, point_velocity
 
 POSITION, RATE, PLACE, ATTITUDE, SPIN, SPEED = range(6)  # what an input is
@@ -63,6 +81,7 @@ OUTPUT = np.dtype(
     align=True,
 )
 ORIGIN = (0.0, 0.0, 0.0)
+MOST_PERIODS = 1000  # of a delay
 NO_AXIS = axis.fields(False, -1, -1, np.eye(4), np.eye(4))
 
 
@@ -75,7 +94,11 @@ class Laws(Struct):
     points: np.ndarray  # (n, 2) their points
     outputs: np.ndarray  # (o,) of OUTPUT
     states: np.ndarray  # (s, 2) registers of the value and of the rate of each state
-    start: np.ndarray  # (s,) values at the start
+    held: np.ndarray  # (h,) registers of the numbers of sampled laws, which follow the unwrapped angles, or -1
+    first: int  # number of unwrapped angles
+    sampled_inputs: np.ndarray  # of INPUT, of one sampled law after another
+    sampled_code: np.ndarray  # (q, 5) instructions, as many
+    start: np.ndarray  # (h + s,) held numbers and states at the start
     scales: np.ndarray  # (s,) magnitudes, to which the absolute tolerance of error control refers
     registers: np.ndarray  # (m, 2) at the start: value, derivative
     timed: bool  # whether any depends on the time
@@ -108,9 +131,16 @@ def _rising(values):
     return values
 
 
+def _period(value):
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.floating)) or not 1e-9 <= value <= 1e9:
+        raise ValueError("must be a number of seconds from 1e-9 to 1e9")
+    return float(value)
+
+
 Formula = Annotated[str, BeforeValidator(_formula), WithJsonSchema({"type": ["string", "number"]})]
 Formulas = Annotated[tuple[Formula, Formula, Formula], BeforeValidator(_three)]
 Numbers = Annotated[tuple[Number, ...], BeforeValidator(listed)]
+Period = Annotated[float, BeforeValidator(_period), WithJsonSchema({"type": "number", "exclusiveMinimum": 0})]
 
 
 class LawInput(Described):
@@ -143,9 +173,14 @@ class LawTable(Described):
 
 
 class LawState(Described):
-    """Number that changes by its rate."""
+    """Number that changes by its rate, or at the instants of a sampled law."""
 
-    rate: Formula = Field(description="formula of its derivative by time, which may use all inputs, signals and states")
+    rate: Formula | None = Field(
+        None, description="formula of its derivative by time, which may use all inputs, signals and states"
+    )
+    update: Formula | None = Field(
+        None, description="of a law with a period, in place of rate: formula of its value after each instant"
+    )
     start: Number = Field(0.0, description="value at the start")
     scale: Positive = Field(1.0, description="magnitude that counts as 1 in the tolerances of error control")
 
@@ -185,6 +220,14 @@ class Law(Force):
     """Efforts and wrenches by formulas."""
 
     type: Literal["law"] = Field("law", description="law")
+    period: Period | None = Field(
+        None,
+        description="s: it reads its inputs at 0 and all multiples of the period, and holds its signals and outputs "
+        "in between; default: continuous",
+    )
+    delay: NotNegative = Field(
+        0.0, description=f"s, of a law with a period, at most {MOST_PERIODS} of them: its outputs act so much later"
+    )
     inputs: dict[Name, Annotated[LawInput, BeforeValidator(_quantity)]] = Field(
         {}, description="{name: quantity} that its formulas use"
     )
@@ -210,6 +253,16 @@ class Law(Force):
                         f"{key}: {name} is also one of its {known[name]}: choose another", place=(key, name)
                     )
                 known[name] = key
+        wanted, other = ("rate", "update") if self.period is None else ("update", "rate")
+        for name, each in self.states.items():
+            place = ("states", name, wanted)
+            if getattr(each, other) is not None:
+                kind = "a law without a period" if self.period is None else "a law with a period"
+                raise SceneError(f"states.{name}.{other}: {kind} has {wanted} in its place", place=place[:2] + (other,))
+            if getattr(each, wanted) is None:
+                raise SceneError(f"states.{name}: {wanted} is missing", place=place)
+        if self.delay and (self.period is None or self.delay > MOST_PERIODS * self.period):
+            raise SceneError(f"delay requires a period, at least {self.delay / MOST_PERIODS:g} s", place=("delay",))
         if not (self.signals or self.states or self.outputs):
             raise SceneError("outputs is missing: a law exerts efforts or wrenches, or has signals", place=("outputs",))
         try:
@@ -230,19 +283,36 @@ class Law(Force):
         names = {TIME: 0} | inputs | states
         names |= {name: program.new(value) for name, value in self.parameters.items()}
         tables = {name: program.table(each.x, each.y) for name, each in self.tables.items()}
-        signals = {}
-        for name, text in self.signals.items():
-            signals[name] = names[name] = _compiled(program, text, names, tables, ("signals", name))
-        outputs = [
-            [_compiled(program, text, names, tables, ("outputs", k, key)) for key, text in each.formulas]
-            for k, each in enumerate(self.outputs)
-        ]
-        rates = [_compiled(program, each.rate, names, tables, ("states", k, "rate")) for k, each in self.states.items()]
-        return _Compiled(inputs, states, rates, signals, outputs)
+        signals, key = {}, "rate" if self.period is None else "update"
+        with nullcontext() if self.period is None else program.apart() as code:
+            for name, text in self.signals.items():
+                signals[name] = names[name] = _compiled(program, text, names, tables, ("signals", name))
+            outputs = [
+                [_compiled(program, text, names, tables, ("outputs", k, key)) for key, text in each.formulas]
+                for k, each in enumerate(self.outputs)
+            ]
+            rates = [
+                _compiled(program, getattr(each, key), names, tables, ("states", name, key))
+                for name, each in self.states.items()
+            ]
+        if self.period is None:
+            return _Compiled(inputs, states, rates, signals, outputs)
+        found = [*rates, *signals.values(), *chain(*outputs)]
+        signals = {name: program.new() for name in signals}
+        outputs = [[program.new() for _ in each] for each in outputs]
+        held = [*states.values(), *signals.values(), *chain(*outputs)]
+        return _Compiled(inputs, states, (), signals, outputs, Held(found, held, code, self._names_held()))
+
+    def _names_held(self):
+        """Names of the numbers that the law holds: states, signals, outputs."""
+        outputs = [f"outputs[{k}].{key}" for k, each in enumerate(self.outputs) for key in numbered(each.formulas)]
+        return [*self.states, *self.signals, *outputs]
 
     @property
     def uses_time(self):
-        """Whether a formula has the time."""
+        """Whether a formula that is evaluated at any time has the time."""
+        if self.period is not None:
+            return False
         texts = [*self.signals.values(), *(each.rate for each in self.states.values())]
         texts += [text for each in self.outputs for _, text in each.formulas]
         return any(TIME in names_in(text) for text in texts)
@@ -271,6 +341,20 @@ def _has_point(part):
     return OF_BODY.get(part, (None,))[0] in (PLACE, SPEED)
 
 
+def numbered(formulas):
+    """Keys of the formulas of an output: effort, or torque[0] to force[2]."""
+    return ["effort"] if len(formulas) == 1 else [f"{key}[{n % 3}]" for n, (key, _) in enumerate(formulas)]
+
+
+class Held(NamedTuple):
+    """What a sampled law computes and holds."""
+
+    found: list  # registers of the results of its instructions: states after the instant, signals, outputs
+    held: list  # registers that hold them
+    code: list  # instructions
+    names: list
+
+
 class _Compiled(NamedTuple):
     """Registers of a law: by names of inputs, states and signals, of the rates of the states, of each output."""
 
@@ -279,6 +363,7 @@ class _Compiled(NamedTuple):
     rates: list
     signals: dict
     outputs: list
+    sampled: Held | None = None
 
     @property
     def shown(self):
@@ -358,20 +443,73 @@ def _compile_all(described):
 
 
 def states_of(described):
-    """[(LAW.STATE, LawState)] of a scene, in order."""
-    return [(f"{law.name}.{name}", each) for law in laws_of(described) for name, each in law.states.items()]
+    """[(LAW.STATE, LawState)] of the continuous laws of a scene, in order."""
+    laws = [law for law in laws_of(described) if law.period is None]
+    return [(f"{law.name}.{name}", each) for law in laws for name, each in law.states.items()]
 
 
-def make_laws(described, index, ends, angles, slides):
+class SampledLaw(NamedTuple):
+    """A law with a period, and where its numbers are."""
+
+    law: Law
+    first: int  # of its numbers, among all held ones: states, signals, outputs, then delayed outputs, the oldest first
+    inputs: slice  # of Laws.sampled_inputs
+    code: slice  # of Laws.sampled_code
+    found: np.ndarray  # registers of what its instructions compute: states after the instant, signals, outputs
+    outputs: int  # number of numbers of its outputs, the last ones
+    delayed: int  # number of sets of outputs that wait
+
+    @property
+    def names(self):
+        """Names of its held numbers."""
+        own = self.law._names_held()
+        last = own[len(own) - self.outputs :]
+        own += [f"{name} delayed {k + 1}" for k in range(self.delayed) for name in last]
+        return [f"{self.law.name}.{name}" for name in own]
+
+
+def sampled_laws(described):
+    """[SampledLaw] of a scene, in order."""
+    found, first, inputs, code, signals = [], 0, 0, 0, set()
+    for law, compiled in _compile_all(described)[2]:
+        own = sum(each.quantity not in signals for each in law.inputs.values())
+        signals |= {f"{law.name}.{name}" for name in compiled.shown}
+        if law.period is None:
+            continue
+        sampled, delayed = compiled.sampled, math.ceil(exact_seconds(law.delay) / exact_seconds(law.period))
+        outputs = sum(map(len, compiled.outputs))
+        parts = slice(inputs, inputs + own), slice(code, code + len(sampled.code))
+        found.append(SampledLaw(law, first, *parts, np.array(sampled.found, dtype=np.int64), outputs, delayed))
+        first += len(sampled.held) + delayed * outputs
+        inputs, code = inputs + own, code + len(sampled.code)
+    return found
+
+
+def held_of(described):
+    """Names of the numbers that the sampled laws of a scene hold, as they follow the unwrapped angles."""
+    return [name for each in sampled_laws(described) for name in each.names]
+
+
+def make_laws(described, index, ends, angles, slides, first):
     """Laws of the forces of a scene.
 
-    index, ends : see kinds.make_forces;  angles : {joint: index of its unwrapped angle}
+    index, ends : see kinds.make_forces;  angles : {joint: index of its unwrapped angle};  first : number of these
     slides : names of the joints whose coordinate is a displacement
     """
     program, signals, found = _compile_all(described)
-    inputs, outputs, states = [], [], []
+    outputs, states, held, start, sampled_code = [], [], [], [], []
+    reads = {False: [], True: []}  # of continuous laws, and of sampled ones
+    waiting = iter(sampled_laws(described))
     for law, compiled in found:
-        states += zip(compiled.states.values(), compiled.rates)
+        inputs = reads[law.period is not None]
+        if law.period is None:
+            states += zip(compiled.states.values(), compiled.rates)
+        else:
+            own, late = compiled.sampled, next(waiting)
+            later = late.delayed * late.outputs
+            held += own.held + [-1] * later
+            start += [each.start for each in law.states.values()] + [0.0] * (len(own.held) - len(law.states) + later)
+            sampled_code += own.code
         for name, each in law.inputs.items():
             if each.quantity in signals:
                 continue
@@ -390,14 +528,19 @@ def make_laws(described, index, ends, angles, slides):
     begins, points = table_arrays(program.tables)
     registers = np.zeros((len(program.registers), 2))
     registers[:, 0] = program.registers
+    inputs, sampled_inputs = (np.array(rows, dtype=INPUT) for rows in reads.values())
     return Laws(
-        inputs=np.array(inputs, dtype=INPUT),
+        inputs=inputs,
         code=np.array(program.code, dtype=np.int64).reshape(-1, 5),
         tables=begins,
         points=points,
         outputs=np.array(outputs, dtype=OUTPUT),
         states=np.array(states, dtype=np.int64).reshape(-1, 2),
-        start=np.array([each.start for _, each in states_of(described)]),
+        held=np.array(held, dtype=np.int64),
+        first=first,
+        sampled_inputs=sampled_inputs,
+        sampled_code=np.array(sampled_code, dtype=np.int64).reshape(-1, 5),
+        start=np.array([*start, *(each.start for _, each in states_of(described))], dtype=float),
         scales=np.array([each.scale for _, each in states_of(described)]),
         registers=registers,
         timed=any(law.uses_time for law in laws_of(described)),
@@ -426,9 +569,17 @@ def _turned(q, turn, k):
 
 @kernel
 def _read(laws, angle, pose, twist, registers):
-    """Write the values of all inputs to their registers."""
-    for e in range(len(laws.inputs)):
-        row = laws.inputs[e]
+    """Write the values of all inputs to their registers, and the numbers that are held."""
+    for j in range(len(laws.held)):
+        if laws.held[j] >= 0:
+            registers[laws.held[j], 0] = angle[laws.first + j]
+    _read_inputs(laws.inputs, angle, pose, twist, registers)
+
+
+@kernel
+def _read_inputs(inputs, angle, pose, twist, registers):
+    for e in range(len(inputs)):
+        row = inputs[e]
         what, k, body, value = row["what"], row["component"], row["body"], 0.0
         if what == POSITION:
             value = axis.coordinate(row, pose, angle[row["angle"]] if row["angle"] >= 0 else 0.0)
@@ -498,6 +649,14 @@ def measure(laws, angle, pose, twist, registers):
     """Compute all registers (m, 2) in a state; those of the time, the first one, and of states are given."""
     _read(laws, angle, pose, twist, registers)
     evaluate(laws.code, laws.tables, laws.points, registers)
+
+
+@kernel
+def sample(laws, inputs, code, angle, pose, twist, registers):
+    """As `measure`, then the instructions of a sampled law with its inputs."""
+    measure(laws, angle, pose, twist, registers)
+    _read_inputs(inputs, angle, pose, twist, registers)
+    evaluate(code, laws.tables, laws.points, registers)
 
 
 @kernel

@@ -1,6 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Laws of a scene in the reference integration: what their formulas read, and the forces that they give."""
+"""Laws of a scene in the reference integration: what their formulas read, and the forces that they give.
 
+What sampled laws hold is constant from one of their instants to the next, at which each integration evaluates them.
+"""
+
+from fractions import Fraction
 from typing import NamedTuple
 
 import numpy as np
@@ -8,10 +12,12 @@ import numpy as np
 from liegroup_core.compiling import kernel, subroutine
 
 from .formulas import Postfix, evaluate
-from .vectors import add_force, add_three, dot, point, slide, three, turned, turned_back, turning
+from .vectors import FRAME, add_force, add_three, dot, place, point, slide, three, turned, turned_back, turning
 
 ANGLE, RATE, SLIDE, SLIDE_RATE, PLACE, ATTITUDE, SPIN, SPEED = range(8)  # inputs
 TORQUE, FORCE, BODY, WORLD = range(4)  # outputs: effort of a joint, or wrench in the axes of the body or the world
+NS = 10**9  # instants are at whole ns
+UNUSED = 0  # place of a held value that nothing reads: that of the time, which is written last
 _OF_BODY = {"": PLACE, "q": ATTITUDE, "w": SPIN, "v": SPEED}
 
 
@@ -27,9 +33,24 @@ class LawLoads(NamedTuple):
     points: np.ndarray  # (q, 2) their points
     acts: np.ndarray  # (o, 4) what, number of the first of its 1 or 6 values, parent or body, child
     acts_at: np.ndarray  # (o, 9) as read_at
+    held_to: np.ndarray  # (h,) numbers of the values that sampled laws hold
+    held: np.ndarray  # (h,) these values
     states: np.ndarray  # (s, 2) numbers of the values of a state and of its rate
     scales: np.ndarray  # (s,) magnitudes of the states
     sizes: np.ndarray  # (2,) numbers of values and of places of the stack
+
+
+class SampledLaw(NamedTuple):
+    """A law with a period; its values are in those of LawLoads."""
+
+    period: Fraction  # s
+    delay: Fraction  # s
+    read: tuple  # rows of LawLoads.read, read_at, read_angle
+    program: Postfix
+    found: list  # numbers of what it computes: states after an instant, signals, outputs
+    first: int  # number of its first held value, of states, signals, outputs, and sets of outputs, the oldest first
+    outputs: int  # how many values they are
+    waiting: int  # number of sets of outputs that start later
 
 
 def laws_of(scene):
@@ -44,10 +65,18 @@ def angles_of(scene, joints):
     return [joints[name] for name in names if joints[name].type != "prismatic"]
 
 
+def _exact(seconds):
+    """Time in s as the simplest fraction that its float stands for."""
+    return Fraction(repr(seconds)).limit_denominator(10**12)
+
+
 def build_laws(scene, index, joints, frames, angles):
-    """Laws of a scene whose body frames are at the centres of mass; angles : {joint: index of its angle}."""
-    program, count, signals, states = Postfix(), 1, {}, []
-    read, read_at, read_angle, acts, acts_at = [], [], [], [], []
+    """Laws of a scene whose body frames are at the centres of mass; angles : {joint: index of its angle}.
+
+    returns (LawLoads, [SampledLaw])
+    """
+    continuous, count, signals, states = Postfix(), 1, {}, []
+    own_reads, acts, acts_at, held_to, held, sampled = ([], [], []), [], [], [], [], []
 
     def geometry(name):
         joint, (F_a, F_b) = joints[name], frames[name]
@@ -57,6 +86,9 @@ def build_laws(scene, index, joints, frames, angles):
         return np.concatenate([(0.0, 0.0, 0.0) if place is None else place, np.zeros(6)])
 
     for law in laws_of(scene):
+        program, (read, read_at, read_angle) = continuous, own_reads
+        if law.period is not None:
+            program, (read, read_at, read_angle) = Postfix(), ([], [], [])
         names = {"t": 0} | law.parameters
         for name, each in law.inputs.items():
             if each.quantity in signals:
@@ -76,7 +108,8 @@ def build_laws(scene, index, joints, frames, angles):
             count += 1
         for name in law.states:
             names[name] = signals[f"{law.name}.{name}"] = count
-            states.append((count, count + 1))
+            if law.period is None:
+                states.append((count, count + 1))
             count += 2
         tables = {}
         for name, table in law.tables.items():
@@ -87,7 +120,8 @@ def build_laws(scene, index, joints, frames, angles):
             names[name] = signals[f"{law.name}.{name}"] = count
             count += 1
         for name, each in law.states.items():
-            program.add(each.rate, names, tables, names[name] + 1)
+            program.add(each.rate or each.update, names, tables, names[name] + 1)
+        outputs = []
         for each in law.outputs:
             if each.body is None:
                 what, texts = TORQUE if joints[each.joint].type != "prismatic" else FORCE, [each.effort]
@@ -97,23 +131,53 @@ def build_laws(scene, index, joints, frames, angles):
                 ends, at = (index[each.body], -1), at_point(each.point)
             acts.append((what, count, *ends))
             acts_at.append(at)
-            for text in texts:
-                program.add(text, names, tables, count)
-                count += 1
-    return LawLoads(
-        read=np.array(read, dtype=int).reshape(-1, 4),
-        read_at=np.array(read_at, dtype=float).reshape(-1, 9),
-        read_angle=np.array(read_angle, dtype=int),
-        code=np.array(program.code, dtype=int).reshape(-1, 2),
-        numbers=np.array(program.numbers, dtype=float),
-        first=np.cumsum([0, *map(len, program.tables)]),
-        points=np.concatenate([np.empty((0, 2)), *program.tables]),
+            outputs += [(text, count + k) for k, text in enumerate(texts)]
+            count += len(texts)
+        if law.period is None:
+            for text, number in outputs:
+                program.add(text, names, tables, number)
+            continue
+        # Others read held values; what is computed at an instant has values of its own.
+        found = [names[name] + 1 for name in law.states] + [names[name] for name in law.signals]
+        for text, _ in outputs:
+            program.add(text, names, tables, count)
+            found.append(count)
+            count += 1
+        first, waiting = len(held), -(-_exact(law.delay) // _exact(law.period))
+        held_to += [names[name] for name in law.states]
+        for name in law.signals:
+            signals[f"{law.name}.{name}"] = count
+            held_to.append(count)
+            count += 1
+        held_to += [number for _, number in outputs] + [UNUSED] * (waiting * len(outputs))
+        held += [each.start for each in law.states.values()] + [0.0] * (len(held_to) - first - len(law.states))
+        times = _exact(law.period), _exact(law.delay)
+        sampled.append(SampledLaw(*times, (read, read_at, read_angle), program, found, first, len(outputs), waiting))
+    loads = LawLoads(
+        **_program(own_reads, continuous),
         acts=np.array(acts, dtype=int).reshape(-1, 4),
         acts_at=np.array(acts_at, dtype=float).reshape(-1, 9),
+        held_to=np.array(held_to, dtype=int),
+        held=np.array(held, dtype=float),
         states=np.array(states, dtype=int).reshape(-1, 2),
-        scales=np.array([each.scale for law in laws_of(scene) for each in law.states.values()], dtype=float),
-        sizes=np.array([count, program.deepest]),
+        scales=np.array([each.scale for law in laws_of(scene) if law.period is None for each in law.states.values()]),
+        sizes=np.array([count, max(each.deepest for each in (continuous, *(each.program for each in sampled)))]),
     )
+    return loads, sampled
+
+
+def _program(reads, program):
+    """Entries of LawLoads of inputs (read, read_at, read_angle) and a Postfix."""
+    read, read_at, read_angle = reads
+    return {
+        "read": np.array(read, dtype=int).reshape(-1, 4),
+        "read_at": np.array(read_at, dtype=float).reshape(-1, 9),
+        "read_angle": np.array(read_angle, dtype=int),
+        "code": np.array(program.code, dtype=int).reshape(-1, 2),
+        "numbers": np.array(program.numbers, dtype=float),
+        "first": np.cumsum([0, *map(len, program.tables)]),
+        "points": np.concatenate([np.empty((0, 2)), *program.tables]),
+    }
 
 
 @kernel
@@ -139,6 +203,82 @@ def _input(laws, i, state, frame, angle):
 
 
 @subroutine
+def _evaluate(laws, state, frame, angle, stack, values):
+    """Write the inputs of laws, and what their formulas give."""
+    for i in range(len(laws.read)):
+        values[laws.read[i, 1]] = _input(laws, i, state, frame, angle)
+    evaluate(laws.code, laws.numbers, laws.first, laws.points, stack, values)
+
+
+@subroutine
+def set_values(laws, time, state, frame, angle, stack, values):
+    """Write all values at a state; arguments as for `add_laws`."""
+    for j in range(len(laws.held)):
+        values[laws.held_to[j]] = laws.held[j]
+    values[0] = time
+    first = len(angle) - len(laws.states)
+    for s in range(len(laws.states)):
+        values[laws.states[s, 0]] = angle[first + s]
+    _evaluate(laws, state, frame, angle, stack, values)
+
+
+class Sampling:
+    """Sampled laws of one integration.
+
+    loads : LawLoads, whose held values change
+    laws  : [SampledLaw]
+    bodies : number of bodies
+    """
+
+    def __init__(self, loads, laws, bodies):
+        self.loads = loads._replace(held=loads.held.copy())
+        self._laws, self._bodies = laws, bodies
+        self._own = [loads._replace(**_program(law.read, law.program)) for law in laws]
+
+    def _next(self, law, first, after):
+        """Time in ns of a law's next instant after one, from `first` s on; -1: also the first."""
+        k = max(0, int((Fraction(after, NS) - first) / law.period) - 1)
+        while round((first + k * law.period) * NS) <= after:
+            k += 1
+        return round((first + k * law.period) * NS)
+
+    def _starts(self, law):
+        """Time in s from which on, once in a period, outputs start that wait."""
+        return law.delay % law.period
+
+    def before(self, begin, end):
+        """First time in s after `begin` at which held values change; `end` if none is earlier."""
+        now = round(begin * NS)
+        found = [self._next(law, 0, now) for law in self._laws]
+        found += [self._next(law, self._starts(law), now) for law in self._laws if law.waiting]
+        first = min(found, default=np.inf)
+        return first / NS if first < end * NS - 0.5 else end
+
+    def meet(self, time, state):
+        """Change the held values at a time in s, in a state as of rigid_body_dae.rates."""
+        now, held = round(time * NS), self.loads.held
+        for law in self._laws:
+            if law.waiting and self._next(law, self._starts(law), now - 1) == now:
+                begin = law.first + len(law.found) - law.outputs
+                end = begin + (1 + law.waiting) * law.outputs
+                held[begin : end - law.outputs] = held[begin + law.outputs : end].copy()
+        n = self._bodies
+        frame = np.zeros((n + 1, FRAME))
+        bodies, angle = state[: 13 * n].reshape(n, 13), state[13 * n :]
+        place(bodies, frame)
+        stack, values = np.empty(self.loads.sizes[1]), np.empty(self.loads.sizes[0])
+        for law, own in zip(self._laws, self._own):
+            if self._next(law, 0, now - 1) == now:
+                set_values(self.loads, time, bodies, frame, angle, stack, values)
+                _evaluate(own, bodies, frame, angle, stack, values)
+                found = values[law.found]
+                shown = len(found) - law.outputs
+                held[law.first : law.first + shown] = found[:shown]
+                last = law.first + len(found) + law.waiting * law.outputs
+                held[last - law.outputs : last] = found[shown:]
+
+
+@subroutine
 def add_laws(laws, time, state, frame, angle, stack, values, force, rate_out):
     """Add the forces of all laws at one state, and write the rates of their states; see loads.add_loads.
 
@@ -147,13 +287,8 @@ def add_laws(laws, time, state, frame, angle, stack, values, force, rate_out):
     """
     if len(laws.acts) == 0 and len(laws.states) == 0:
         return
-    values[0] = time
+    set_values(laws, time, state, frame, angle, stack, values)
     first = len(angle) - len(laws.states)
-    for s in range(len(laws.states)):
-        values[laws.states[s, 0]] = angle[first + s]
-    for i in range(len(laws.read)):
-        values[laws.read[i, 1]] = _input(laws, i, state, frame, angle)
-    evaluate(laws.code, laws.numbers, laws.first, laws.points, stack, values)
     for s in range(len(laws.states)):
         rate_out[first + s] = values[laws.states[s, 1]]
     for i in range(len(laws.acts)):

@@ -16,7 +16,7 @@ from liegroup_core.scene.load import scene_from_text
 
 SCENES = (
     *("lagrangian_top", "heavy_top", "four_bar", "slider_crank", "driven_arm", "flyball_governor", "hinge_chain"),
-    *("stick_slip", "cable", "gripper", "door", "controlled"),
+    *("stick_slip", "cable", "gripper", "door", "controlled", "sampled"),
 )
 # A law with states, kinks and the time, on a mechanism with a stop.
 CONTROLLED = """
@@ -45,6 +45,29 @@ forces:
             {body: tip, force: [-x, 0.1*sin(30*t), i], axes: world}]
 - {name: hold, type: servo, joint: hinge, stiffness: 2, damping: 0.1}
 """
+# Sampled laws with periods that steps do not divide, delays and states, and a continuous one that reads their signals.
+SAMPLED = CONTROLLED.replace("name: controlled", "name: sampled").replace(
+    "- {name: hold",
+    """- name: slow
+  type: law
+  period: 0.0123
+  delay: 0.03
+  inputs: {q: hinge.position, w: hinge.velocity, u: pid.u}
+  states: {n: {update: n + 1}, last: {start: 0.1, update: q}}
+  signals: {rate: (q - last)/0.0123, lead: "q + 0.1*w if n < 7 else u"}
+  outputs: [{joint: hinge, effort: -3*lead - 0.2*rate}, {body: tip, force: [0, 0, n], point: [0.1, 0, 0]}]
+- name: fast
+  type: law
+  period: 0.004
+  inputs: {lead: slow.lead, x: tip.x, e: pid.e}
+  signals: {u: lead - x - e}
+  outputs: [{body: tip, force: [u, 0, 0]}]
+- name: between
+  type: law
+  inputs: {u: fast.u, w: hinge.velocity}
+  outputs: [{joint: hinge, effort: 0.3*u - 0.05*w}]
+- {name: hold""",
+)
 ACCURACIES = ({"accuracy": 1e-5}, {"accuracy": 1e-3, "horizon": 5.0, "step": 0.1}, {"accuracy": 1e-9, "step": 2e-3})
 SECONDS, COMMANDS = 0.25, 10
 PAIRS = some(range(5000), 60)
@@ -164,7 +187,8 @@ def cases():
 
 def scene_of(name):
     """Scene of SCENES."""
-    return scene_from_text(CONTROLLED, name) if name == "controlled" else load_scene(name)
+    own = {"controlled": CONTROLLED, "sampled": SAMPLED}
+    return scene_from_text(own[name], name) if name in own else load_scene(name)
 
 
 @pytest.mark.parametrize("part", range(4))
