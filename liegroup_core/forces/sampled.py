@@ -84,6 +84,15 @@ class Sampling:
         """Whether held numbers change at an Instant."""
         return any(each.has(now) for each in self._times)
 
+    def between(self, begin, end, most):
+        """Times in s of the Instants between two at which held numbers change; none if there are more than `most`."""
+        found = []
+        while self and (begin := self.after(begin)) < end:
+            found.append(begin.time)
+            if len(found) > most:
+                return []
+        return found
+
     def meet(self, now, angles, pose, twist):
         """Let outputs start, and evaluate laws, that are due at an Instant, in a state at the centres of mass.
 
