@@ -16,6 +16,7 @@ from liegroup_core.control import Controls
 from liegroup_core.errors import SimulationError
 from liegroup_core.fields.arguments import finite, floats, got, is_count, is_finite
 from liegroup_core.forces.instants import AFTER, LATEST, NEVER, NOT_AHEAD, StepGrid
+from liegroup_core.forces.law import WITNESS
 from liegroup_core.forces.sampled import Sampling
 from liegroup_core.inputs import Inputs
 from liegroup_core.joint_events import JointEvents
@@ -32,7 +33,7 @@ from liegroup_core.reports import Warnings, explain
 from liegroup_core.scene.description import Scene
 from liegroup_core.settings import SETTINGS, check_group, check_options, checked
 from liegroup_core.state import State, decoded, kept, set_kept
-from liegroup_core.status import EVENT, OK
+from liegroup_core.status import EVENT, NOT_FINITE, OK
 
 Floats = NDArray[np.float64]
 
@@ -550,8 +551,10 @@ class Engine:
     def _sample_laws(self):
         """Evaluate the sampled laws that are due at the base, and let their delayed outputs start."""
         if self._sampling and self._sampling.has(self.base):
-            self._sampling.meet(self.base, self._work.angle, self._pose, self._twist)
+            undefined = self._sampling.meet(self.base, self._work.angle, self._pose, self._twist)
             self.inputs.changes += 1
+            if undefined:
+                raise SimulationError(f"stopped at t = {self.time:.9g} s: {undefined}", NOT_FINITE)
 
     def _next_stop(self, until):
         """(Instant up to which the inputs that act now stay as they are, whole steps to it, their changes there).
@@ -712,6 +715,7 @@ class Engine:
         clock, whole = self._work.clock, h == self.step and not start.offset
         self._set_clock(start, start.step if whole else None)
         self._prepared, self._served = self.inputs.changes, -1
+        self._work.registers[WITNESS, 0] = 0.0
         if self._sampling:
             self._work.targets[-1, 0] = self._sampling.last(start)
         clock.from_step[0], clock.since[0] = self._grid.parts(start)

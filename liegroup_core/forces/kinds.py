@@ -91,9 +91,11 @@ def make_forces(described, index, ends, counted, slides=()):
     slides    : names of the joints whose coordinate is a displacement
     """
     angles = {name: i for i, (_, name) in enumerate(counted)}
-    targets = {servo.name: i for i, servo in enumerate(servos(described))}
+    targets, led = {servo.name: i for i, servo in enumerate(servos(described))}, law.target_registers(described)
     at_joints = [
-        joint_law.make_row(force, ends, angles.get(force.name, -1), targets.get(force.name, -1))
+        joint_law.make_row(
+            force, ends, angles.get(force.name, -1), targets.get(force.name, -1), led.get(force.name, (-1, -1))
+        )
         for force in joint_laws(described)
     ]
 
@@ -162,9 +164,10 @@ def add_wrenches(forces, angle, targets, registers, pose, twist, wrench_out):
 @shared
 def _add_wrenches(forces, angle, targets, registers, pose, twist, wrench_out):
     spring_damper.add_wrench(forces.spring_damper, pose, twist, wrench_out)
-    joint_law.add_wrench(forces.joint_law, angle, targets, pose, twist, wrench_out)
+    law.measure(forces.laws, angle, pose, twist, registers)
+    joint_law.add_wrench(forces.joint_law, angle, targets, registers, pose, twist, wrench_out)
     drag.add_wrench(forces.drag, twist, wrench_out)
-    law.add_wrench(forces.laws, angle, registers, pose, twist, wrench_out)
+    law.add_wrench(forces.laws, registers, pose, wrench_out)
     return 0
 
 
@@ -179,9 +182,10 @@ def add_changes(forces, angle, targets, registers, pose, twist, moves, rates, sh
     pose, twist, moves, rates = borrowed(pose), borrowed(twist), borrowed(moves), borrowed(rates)
     shifts, wrench_out = borrowed(shifts), borrowed(wrench_out)
     spring_damper.add_change(forces.spring_damper, pose, twist, moves, rates, wrench_out)
-    joint_law.add_change(forces.joint_law, angle, targets, pose, twist, moves, rates, shifts, at, wrench_out)
+    law.measure_changes(forces.laws, angle, pose, twist, moves, rates, registers)
+    joint_law.add_change(forces.joint_law, angle, targets, registers, pose, twist, moves, rates, shifts, at, wrench_out)
     drag.add_change(forces.drag, twist, rates, wrench_out)
-    law.add_change(forces.laws, angle, registers, pose, twist, moves, rates, wrench_out)
+    law.add_change(forces.laws, registers, pose, twist, moves, rates, wrench_out)
     return 0
 
 
@@ -193,28 +197,28 @@ def energy(forces, angle, pose):
 
 @kernel
 def powers(forces, angle, targets, registers, pose, twist):
-    """Powers of the non-conservative forces by POWERS, W."""
-    dampers, motors, servos = joint_law.powers(forces.joint_law, angle, targets, pose, twist)
+    """Powers of the non-conservative forces by POWERS, W; registers : after law.measure in this state."""
+    dampers, motors, servos = joint_law.powers(forces.joint_law, angle, targets, registers, pose, twist)
     return (
         spring_damper.power(forces.spring_damper, pose, twist) + dampers,
         motors,
         servos,
         drag.power(forces.drag, twist),
-        law.power(forces.laws, angle, registers, pose, twist),
+        law.power(forces.laws, registers, pose, twist),
     )
 
 
 @kernel
 def power(forces, angle, targets, registers, pose, twist):
-    """Power of the non-conservative forces, W: the rate of the mechanical energy."""
+    """Power of the non-conservative forces, W: the rate of the mechanical energy; arguments as for `powers`."""
     dampers, motors, servos, drags, by_laws = powers(forces, angle, targets, registers, pose, twist)
     return dampers + motors + servos + drags + by_laws
 
 
 @kernel
-def efforts(forces, angle, targets, pose, twist, out):
-    """Write the efforts of the joint laws, N m or N, to out (k,); arguments as for `add_wrenches`."""
-    joint_law.efforts(forces.joint_law, angle, targets, pose, twist, out)
+def efforts(forces, angle, targets, registers, pose, twist, out):
+    """Write the efforts of the joint laws, N m or N, to out (k,); arguments as for `powers`."""
+    joint_law.efforts(forces.joint_law, angle, targets, registers, pose, twist, out)
 
 
 @kernel

@@ -7,12 +7,14 @@ are formulas, too:
 
     effort of a joint      torque about or force along its z axis on the child, the opposite on the parent (axis.py)
     wrench on a body       torque and force at a point of the body, in its axes or in world axes
+    target of a servo      position and velocity, in place of those of the servo (joint_law.py)
 
 States have a start and a rate, a formula that may use all signals. A state is the rate of a link of its own in the tree
 (mechanism/links.py), with unit inertia and the rate of the state as its effort: every method integrates it, with its
 order, error control and derivatives. After a step its value is kept behind the unwrapped angles.
 
-All laws of a scene are one program, evaluated once a stage. Its registers are memory of a run; the first is the time.
+All laws of a scene are one program, evaluated once a stage. Its registers are memory of a run; the first is the time,
+the next ones say which number was not finite last.
 
 A law with a period is evaluated at exact instants, by instructions of its own (sampled.py). Its signals and outputs are
 numbers that are held in between: they are kept behind the unwrapped angles, before the states.
@@ -81,6 +83,8 @@ OUTPUT = np.dtype(
     align=True,
 )
 ORIGIN = (0.0, 0.0, 0.0)
+WITNESS = 1  # register of the last result that was not finite: its number from 1 on, and the time
+CAUSE = 2  # the next one: number of the first signal that was not finite then, 0 for none, and the value of the result
 MOST_PERIODS = 1000  # of a delay
 NO_AXIS = axis.fields(False, -1, -1, np.eye(4), np.eye(4))
 
@@ -93,6 +97,8 @@ class Laws(Struct):
     tables: np.ndarray  # (t + 1,) first points of the tables
     points: np.ndarray  # (n, 2) their points
     outputs: np.ndarray  # (o,) of OUTPUT
+    results: np.ndarray  # (r,) registers of outputs and of rates of states, of all continuous laws
+    signals: np.ndarray  # (w,) registers of their signals
     states: np.ndarray  # (s, 2) registers of the value and of the rate of each state
     held: np.ndarray  # (h,) registers of the numbers of sampled laws, which follow the unwrapped angles, or -1
     first: int  # number of unwrapped angles
@@ -186,7 +192,7 @@ class LawState(Described):
 
 
 class LawOutput(Described):
-    """What a law exerts: the effort of a joint, or a wrench on a body."""
+    """What a law exerts: the effort of a joint, a wrench on a body, or the target of a servo."""
 
     joint: Text | None = Field(None, description="name of a joint with one coordinate")
     effort: Formula | None = Field(None, description="formula of its torque in N m or force in N on the child")
@@ -195,24 +201,27 @@ class LawOutput(Described):
     force: Formulas = Field(("0", "0", "0"), description="three formulas, N")
     point: Vector3 = Field((0.0, 0.0, 0.0), description="point of application in m, in the body frame")
     axes: Literal["body", "world"] = Field("body", description="axes of torque and force: body or world")
+    servo: Text | None = Field(None, description="name of a servo or linear_servo, in place of joint and effort")
+    position: Formula | None = Field(None, description="formula of its target position in rad or m; default: its own")
+    velocity: Formula | None = Field(None, description="formula of its target velocity; default: its own")
 
     @model_validator(mode="after")
     def _check(self):
-        if (
-            (self.joint is None) == (self.body is None)
-            or self.joint
-            and not {"torque", "force"}.isdisjoint(self.model_fields_set)
-        ):
-            raise SceneError("give either joint and effort, or body with torque and force")
-        if (self.effort is None) != (self.joint is None):
-            raise SceneError("effort belongs to joint: give both", place=("effort",))
+        owners = {"joint": {"effort"}, "body": {"torque", "force", "point", "axes"}, "servo": {"position", "velocity"}}
+        given = [owner for owner in owners if getattr(self, owner) is not None]
+        if len(given) != 1 or self.model_fields_set - owners[given[0]] - {given[0]}:
+            raise SceneError("give either joint and effort, or body with torque and force, or servo with position")
+        if self.servo is not None and (self.position, self.velocity) == (None, None):
+            raise SceneError("position or velocity is missing", place=("position",))
+        if self.joint is not None and self.effort is None:
+            raise SceneError("effort is missing", place=("effort",))
         return self
 
     @property
     def formulas(self):
-        """[(key, formula)]: one, or six."""
+        """[(key, formula)]: one or two, or six."""
         if self.body is None:
-            return [("effort", self.effort)]
+            return [(key, text) for key in ("effort", "position", "velocity") if (text := getattr(self, key))]
         return [(key, text) for key in ("torque", "force") for text in getattr(self, key)]
 
 
@@ -321,7 +330,7 @@ class Law(Force):
         """Names of the bodies that it reads or acts on, of joints the child, and of laws; child_of : {joint: body}."""
         found = [each.quantity.rpartition(".")[0] for each in self.inputs.values()]
         found += [each.joint or each.body for each in self.outputs]
-        return sorted({child_of.get(name, name) for name in found})
+        return sorted({child_of.get(name, name) for name in found if name})
 
     def at_centres(self, com):
         """Entries that change if body frames are at the centres of mass; com : {body: (3,) m}."""
@@ -342,8 +351,8 @@ def _has_point(part):
 
 
 def numbered(formulas):
-    """Keys of the formulas of an output: effort, or torque[0] to force[2]."""
-    return ["effort"] if len(formulas) == 1 else [f"{key}[{n % 3}]" for n, (key, _) in enumerate(formulas)]
+    """Keys of the formulas of an output, with a number where a key has three."""
+    return [key if len(formulas) < 6 else f"{key}[{n % 3}]" for n, (key, _) in enumerate(formulas)]
 
 
 class Held(NamedTuple):
@@ -384,10 +393,11 @@ def _compiled(program, text, names, tables, place):
         raise _Misplaced(f"{place_text(place, {})}: {error}", place) from None
 
 
-def refuse_law(law, bodies, moves, earlier, i):
-    """Refuse a law whose quantities, joints or bodies do not exist.
+def refuse_law(law, bodies, moves, earlier, servos, i):
+    """Refuse a law whose quantities, joints, bodies or servos do not exist.
 
     bodies : names;  moves : names of the joints with one coordinate;  earlier : [LAW.SIGNAL]
+    servos : names of those that no earlier law leads
     """
     where = f'forces[{i}] "{law.name}": '
     known = [f"{joint}.{part}" for joint in moves for part in OF_JOINT]
@@ -403,7 +413,8 @@ def refuse_law(law, bodies, moves, earlier, i):
         if each.point is not None and not (owner in bodies and _has_point(part)):
             raise SceneError(f"{where}inputs.{name}: {each.quantity} has no point: omit it", place=place)
     for k, each in enumerate(law.outputs):
-        for key, names, what in (("joint", moves, "joint with one coordinate"), ("body", bodies, "body")):
+        kinds = ("joint", moves, "joint with one coordinate"), ("body", bodies, "body"), ("servo", servos, "servo")
+        for key, names, what in kinds:
             name = getattr(each, key)
             if name is not None and name not in names:
                 hint = suggestion(name, list(names)) if names else f"the scene has no {what}"
@@ -436,10 +447,58 @@ def signals_of(described):
 
 def _compile_all(described):
     program, signals, found = Program(), {}, []
+    program.new(), program.new()  # WITNESS, CAUSE
     for law in laws_of(described):
         found.append((law, law.compile(program, signals)))
         signals |= {f"{law.name}.{name}": register for name, register in found[-1][1].shown.items()}
     return program, signals, found
+
+
+def target_registers(described):
+    """{servo: [register of its target position or -1, of its target velocity or -1]} of the servos that laws lead."""
+    found = {}
+    for law, compiled in _compile_all(described)[2]:
+        for each, own in zip(law.outputs, compiled.outputs):
+            if each.servo is not None:
+                places = dict(zip((key for key, _ in each.formulas), own))
+                found[each.servo] = [places.get(key, -1) for key in ("position", "velocity")]
+    return found
+
+
+def leaders(described):
+    """{servo: law} of the servos whose target is an output of a law."""
+    return {each.servo: law.name for law in laws_of(described) for each in law.outputs if each.servo is not None}
+
+
+def results_of(described):
+    """([(law, number)] of outputs and rates, the same of signals) of continuous laws, as Laws.results and signals."""
+    results, signals = [], []
+    for law in laws_of(described):
+        if law.period is None:
+            names = law._names_held()
+            first = len(law.states) + len(law.signals)
+            results += [(law.name, name) for name in names[first:]]
+            results += [(law.name, f"states.{name}.rate") for name in law.states]
+            signals += [(law.name, f"signals.{name}") for name in law.signals]
+    return results, signals
+
+
+def undefined_text(law, name, value, time, cause=""):
+    """One line on a number of a law that is not finite; cause : the signal that was not finite."""
+    because = f", because its signal {cause} is not finite" if cause else ""
+    return f"the law {law} gives {name} = {value:g} at t = {time:.9g} s{because}: change its formula"
+
+
+def undefined_of(described, registers):
+    """(time in s, text) of the result of a law that was not finite last, or None."""
+    number = int(registers[WITNESS, 0])
+    if number == 0:
+        return None
+    results, signals = results_of(described)
+    (law, name), cause, time = results[number - 1], int(registers[CAUSE, 0]), float(registers[WITNESS, 1])
+    signal = signals[cause - 1] if cause else ("", "")
+    known = signal[1].removeprefix("signals.") if signal[0] == law else ""
+    return time, undefined_text(law, name, registers[CAUSE, 1], time, known)
 
 
 def states_of(described):
@@ -497,13 +556,15 @@ def make_laws(described, index, ends, angles, slides, first):
     slides : names of the joints whose coordinate is a displacement
     """
     program, signals, found = _compile_all(described)
-    outputs, states, held, start, sampled_code = [], [], [], [], []
+    outputs, states, held, start, sampled_code, results, shown = [], [], [], [], [], [], []
     reads = {False: [], True: []}  # of continuous laws, and of sampled ones
     waiting = iter(sampled_laws(described))
     for law, compiled in found:
         inputs = reads[law.period is not None]
         if law.period is None:
             states += zip(compiled.states.values(), compiled.rates)
+            results += [*chain(*compiled.outputs), *compiled.rates]
+            shown += compiled.signals.values()
         else:
             own, late = compiled.sampled, next(waiting)
             later = late.delayed * late.outputs
@@ -520,10 +581,10 @@ def make_laws(described, index, ends, angles, slides, first):
             else:
                 inputs.append((*OF_BODY[part], compiled.inputs[name], index[owner], each.point or ORIGIN, -1, *NO_AXIS))
         for each, own in zip(law.outputs, compiled.outputs):
-            if each.body is None:
+            if each.joint is not None:
                 motion = axis.fields(each.joint in slides, *ends[each.joint])
                 outputs.append((-1, own * 6, 0, each.point, *motion))
-            else:
+            elif each.body is not None:
                 outputs.append((index[each.body], own, each.axes == "world", each.point, *NO_AXIS))
     begins, points = table_arrays(program.tables)
     registers = np.zeros((len(program.registers), 2))
@@ -535,6 +596,8 @@ def make_laws(described, index, ends, angles, slides, first):
         tables=begins,
         points=points,
         outputs=np.array(outputs, dtype=OUTPUT),
+        results=np.array(results, dtype=np.int64),
+        signals=np.array(shown, dtype=np.int64),
         states=np.array(states, dtype=np.int64).reshape(-1, 2),
         held=np.array(held, dtype=np.int64),
         first=first,
@@ -646,9 +709,40 @@ def _add(body, torque, force, wrench_out):
 
 @kernel
 def measure(laws, angle, pose, twist, registers):
-    """Compute all registers (m, 2) in a state; those of the time, the first one, and of states are given."""
+    """Compute all registers (m, 2) in a state; those of the time, the first one, and of states are given.
+
+    angle : (k,) rad, all unwrapped angles after the last step, and what sampled laws hold
+    """
     _read(laws, angle, pose, twist, registers)
     evaluate(laws.code, laws.tables, laws.points, registers)
+    _note_undefined(laws, registers)
+
+
+@kernel
+def _note_undefined(laws, registers):
+    """Note the first result that is not finite, where all inputs and states are."""
+    total = 0.0
+    for j in range(len(laws.results)):
+        total += 0.0 * registers[laws.results[j], 0]
+    if total == 0.0:
+        return
+    for e in range(len(laws.inputs)):
+        total = registers[laws.inputs[e]["to"], 0]
+        if total - total != 0.0:
+            return
+    for s in range(len(laws.states)):
+        total = registers[laws.states[s, 0], 0]
+        if total - total != 0.0:
+            return
+    for j in range(len(laws.results) - 1, -1, -1):
+        total = registers[laws.results[j], 0]
+        if total - total != 0.0:
+            registers[WITNESS, 0], registers[WITNESS, 1], registers[CAUSE, 1] = j + 1.0, registers[0, 0], total
+    registers[CAUSE, 0] = 0.0
+    for j in range(len(laws.signals) - 1, -1, -1):
+        total = registers[laws.signals[j], 0]
+        if total - total != 0.0:
+            registers[CAUSE, 0] = j + 1.0
 
 
 @kernel
@@ -660,14 +754,8 @@ def sample(laws, inputs, code, angle, pose, twist, registers):
 
 
 @kernel
-def add_wrench(laws, angle, registers, pose, twist, wrench_out):
-    """Add the wrenches of all laws.
-
-    angle : (k,) rad, all unwrapped angles after the last step;  registers : see `measure`
-    """
-    if len(laws.outputs) == 0 and len(laws.states) == 0:
-        return
-    measure(laws, angle, pose, twist, registers)
+def add_wrench(laws, registers, pose, wrench_out):
+    """Add the wrenches of all laws; registers : after `measure` in this state."""
     for e in range(len(laws.outputs)):
         row = laws.outputs[e]
         if row["body"] < 0:
@@ -679,12 +767,9 @@ def add_wrench(laws, angle, registers, pose, twist, wrench_out):
 
 
 @kernel
-def power(laws, angle, registers, pose, twist):
-    """Power of all laws, W."""
+def power(laws, registers, pose, twist):
+    """Power of all laws, W; registers : after `measure` in this state."""
     total = 0.0
-    if len(laws.outputs) == 0:
-        return total
-    measure(laws, angle, pose, twist, registers)
     for e in range(len(laws.outputs)):
         row = laws.outputs[e]
         if row["body"] < 0:
@@ -698,13 +783,16 @@ def power(laws, angle, registers, pose, twist):
 
 
 @kernel
-def add_change(laws, angle, registers, pose, twist, moves, rates, wrench_out):
-    """Add the changes of the wrenches along displacements, see kinds.add_changes."""
-    if len(laws.outputs) == 0 and len(laws.states) == 0:
-        return
+def measure_changes(laws, angle, pose, twist, moves, rates, registers):
+    """As `measure`, also the derivatives along displacements, see kinds.add_changes."""
     _read(laws, angle, pose, twist, registers)
     _read_changes(laws, pose, twist, moves, rates, registers)
     differentiate(laws.code, laws.tables, laws.points, registers)
+
+
+@kernel
+def add_change(laws, registers, pose, twist, moves, rates, wrench_out):
+    """Add the changes of the wrenches along displacements; registers : after `measure_changes` along them."""
     for e in range(len(laws.outputs)):
         row = laws.outputs[e]
         body = row["body"]

@@ -15,9 +15,11 @@ At an instant at which outputs of several laws start and laws are evaluated, out
 a state at an instant is one after it: what stands there has passed it.
 """
 
+import numpy as np
+
 from .instants import BEFORE, exact_seconds
 from .kinds import registers_at
-from .law import sample, sampled_laws
+from .law import sample, sampled_laws, undefined_text
 
 
 class _Times:
@@ -51,6 +53,18 @@ class _Times:
         """Whether an Instant is one of them."""
         self.after(now)
         return self._last == now
+
+
+def _undefined(each, values, time):
+    """Text on states or outputs of a sampled law that are not finite, or ""."""
+    law, names = each.law, each.law._names_held()
+    first, end = len(law.states), len(law.states) + len(law.signals)
+    lost = np.flatnonzero(~np.isfinite(values))
+    results = lost[(lost < first) | (lost >= end)]
+    if not len(results):
+        return ""
+    cause = [names[k] for k in lost if first <= k < end]
+    return undefined_text(law.name, names[results[0]], values[results[0]], time, "".join(cause[:1]))
 
 
 class Sampling:
@@ -97,7 +111,9 @@ class Sampling:
         """Let outputs start, and evaluate laws, that are due at an Instant, in a state at the centres of mass.
 
         angles : as Work.angle, in which the held numbers change
+        returns the first number that is not finite, in one line, or ""
         """
+        undefined = ""
         for each, times in zip(self._laws, self._starts):
             if times is not None and times.has(now):
                 own = self._own(each, angles)
@@ -113,6 +129,8 @@ class Sampling:
                 shown = len(values) - each.outputs
                 own[:shown] = values[:shown]
                 own[len(own) - each.outputs :] = values[shown:]
+                undefined = undefined or _undefined(each, values, now.time)
+        return undefined
 
     def _own(self, each, angles):
         """View of the numbers of a law: states, signals, outputs, then those that wait, the oldest first.

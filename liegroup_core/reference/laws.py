@@ -16,6 +16,7 @@ from .vectors import FRAME, add_force, add_three, dot, place, point, slide, thre
 
 ANGLE, RATE, SLIDE, SLIDE_RATE, PLACE, ATTITUDE, SPIN, SPEED = range(8)  # inputs
 TORQUE, FORCE, BODY, WORLD = range(4)  # outputs: effort of a joint, or wrench in the axes of the body or the world
+TURN, SHIFT = 4, 5  # target of a servo about or along the axis of a joint
 NS = 10**9  # instants are at whole ns
 UNUSED = 0  # place of a held value that nothing reads: that of the time, which is written last
 _OF_BODY = {"": PLACE, "q": ATTITUDE, "w": SPIN, "v": SPEED}
@@ -31,8 +32,9 @@ class LawLoads(NamedTuple):
     numbers: np.ndarray
     first: np.ndarray  # (t + 1,) first points of the tables
     points: np.ndarray  # (q, 2) their points
-    acts: np.ndarray  # (o, 4) what, number of the first of its 1 or 6 values, parent or body, child
-    acts_at: np.ndarray  # (o, 9) as read_at
+    acts: np.ndarray  # (o, 4) what, number of the first of its 1, 2 or 6 values, parent or body, child; of a servo its
+    # row in loads, and 0, 1 or 2: both values, position, velocity
+    acts_at: np.ndarray  # (o, 9) as read_at; of a servo its own target
     held_to: np.ndarray  # (h,) numbers of the values that sampled laws hold
     held: np.ndarray  # (h,) these values
     states: np.ndarray  # (s, 2) numbers of the values of a state and of its rate
@@ -70,8 +72,10 @@ def _exact(seconds):
     return Fraction(repr(seconds)).limit_denominator(10**12)
 
 
-def build_laws(scene, index, joints, frames, angles):
-    """Laws of a scene whose body frames are at the centres of mass; angles : {joint: index of its angle}.
+def build_laws(scene, index, joints, frames, angles, servos):
+    """Laws of a scene whose body frames are at the centres of mass.
+
+    angles : {joint: index of its angle};  servos : {name: (TURN or SHIFT, row in loads, force)}
 
     returns (LawLoads, [SampledLaw])
     """
@@ -123,7 +127,12 @@ def build_laws(scene, index, joints, frames, angles):
             program.add(each.rate or each.update, names, tables, names[name] + 1)
         outputs = []
         for each in law.outputs:
-            if each.body is None:
+            if each.servo is not None:
+                what, row, force = servos[each.servo]
+                texts = [text for text in (each.position, each.velocity) if text is not None]
+                ends = row, 0 if len(texts) == 2 else 1 if each.velocity is None else 2
+                at = np.array([force.position, force.velocity, *np.zeros(7)])
+            elif each.body is None:
                 what, texts = TORQUE if joints[each.joint].type != "prismatic" else FORCE, [each.effort]
                 ends, at = geometry(each.joint)
             else:
@@ -212,7 +221,11 @@ def _evaluate(laws, state, frame, angle, stack, values):
 
 @subroutine
 def set_values(laws, time, state, frame, angle, stack, values):
-    """Write all values at a state; arguments as for `add_laws`."""
+    """Write all values at a state.
+
+    state : (n, 13), see vectors.place;  angle : see `add_laws`
+    stack, values : scratch memory of the sizes of the laws
+    """
     for j in range(len(laws.held)):
         values[laws.held_to[j]] = laws.held[j]
     values[0] = time
@@ -220,6 +233,19 @@ def set_values(laws, time, state, frame, angle, stack, values):
     for s in range(len(laws.states)):
         values[laws.states[s, 0]] = angle[first + s]
     _evaluate(laws, state, frame, angle, stack, values)
+
+
+@subroutine
+def set_targets(laws, values, turn_law, slide_law):
+    """Set the targets of servos in loads.Loads to the values of laws."""
+    for i in range(len(laws.acts)):
+        what, k, row, part = laws.acts[i, 0], laws.acts[i, 1], laws.acts[i, 2], laws.acts[i, 3]
+        if what < TURN:
+            continue
+        position = laws.acts_at[i, 0] if part == 2 else values[k]
+        velocity = laws.acts_at[i, 1] if part == 1 else values[k + (part == 0)]
+        law = turn_law if what == TURN else slide_law
+        law[row, 0] = law[row, 1] * position + law[row, 2] * velocity
 
 
 class Sampling:
@@ -279,15 +305,11 @@ class Sampling:
 
 
 @subroutine
-def add_laws(laws, time, state, frame, angle, stack, values, force, rate_out):
+def add_laws(laws, frame, angle, values, force, rate_out):
     """Add the forces of all laws at one state, and write the rates of their states; see loads.add_loads.
 
-    state : (n, 13), see vectors.place;  stack, values : scratch memory of the sizes of the laws
-    angle, rate_out : the states and their rates are the last of them
+    values : after `set_values` at this state;  angle, rate_out : the states and their rates are the last of them
     """
-    if len(laws.acts) == 0 and len(laws.states) == 0:
-        return
-    set_values(laws, time, state, frame, angle, stack, values)
     first = len(angle) - len(laws.states)
     for s in range(len(laws.states)):
         rate_out[first + s] = values[laws.states[s, 1]]
@@ -307,7 +329,7 @@ def add_laws(laws, time, state, frame, angle, stack, values, force, rate_out):
             axis, position, _, _ = slide(frame, a, b, at, three(laws.acts_at, i, 3), three(laws.acts_at, i, 6))
             add_force(force, frame, b, position, values[k], axis)
             add_force(force, frame, a, position, -values[k], axis)
-        else:
+        elif what <= WORLD:
             torque, push = (values[k], values[k + 1], values[k + 2]), (values[k + 3], values[k + 4], values[k + 5])
             if what == BODY:
                 torque, push = turned(frame, a, torque), turned(frame, a, push)

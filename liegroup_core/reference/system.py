@@ -8,7 +8,7 @@ from liegroup_core.scene.consistency import resolve_frames
 from liegroup_core.scene.massless import lack_of_inertia
 
 from .equations import ANGLE, DISTANCE, JOINTS, LEVEL, Equations, X
-from .laws import angles_of, build_laws, laws_of
+from .laws import SHIFT, TURN, angles_of, build_laws, laws_of
 from .loads import Loads
 from .rigid_body_dae import System
 
@@ -60,7 +60,11 @@ def build_system(scene, pose, angles=None):
     known = {} if angles is None else dict(zip((name for name, _ in scene.unwrapped), angles))
     start = np.array([known.get(joint.name, _angle(relative[joint.name])) for joint, _ in turns], dtype=float)
     equations = _equations(scene, index, frames, relative, (coupled, start))
-    laws, sampled = build_laws(scene, index, joints, frames, read_angles)
+    servos, screws = {}, sum(joint.type == "screw" for joint in scene.joints)
+    for what, types, first in ((TURN, TURNING, screws), (SHIFT, SLIDING, 0)):
+        own = [force for force in scene.forces if force.type in types]
+        servos |= {force.name: (what, first + k, force) for k, force in enumerate(own)}
+    laws, sampled = build_laws(scene, index, joints, frames, read_angles, servos)
     inertia = np.array([body.inertia_matrix for body in scene.bodies])
     system = System(
         mass=np.array([body.mass for body in scene.bodies], dtype=float),

@@ -239,9 +239,14 @@ class Scene(Described):
             refuse_switches(joint, i)
         kinds = {joint.name: joint.type for joint in self.joints}
         moves, signals = [joint.name for joint in self.joints if TYPES[joint.type].coordinate], []
+        servos = [force.name for force in self.forces if force.type in ("servo", "linear_servo")]
         for key, i, link in links:
             if link.type == "law":
-                refuse_law(link, bodies, moves, signals, i)
+                refuse_law(link, bodies, moves, signals, servos, i)
+                led = [each.servo for each in link.outputs if each.servo is not None]
+                if len({*led}) < len(led):
+                    raise SceneError(f'forces[{i}] "{link.name}": two of its outputs are for the same servo')
+                servos = [name for name in servos if name not in led]
                 signals += [f"{link.name}.{name}" for name in (*link.states, *link.signals)]
             elif hasattr(link, "joint"):
                 refuse_joint(link, kinds, i)

@@ -10,7 +10,7 @@ import yaml
 from naive import displaced
 
 from liegroup_core import Simulation
-from liegroup_core.forces import external, gravity, kinds
+from liegroup_core.forces import external, gravity, kinds, law
 from liegroup_core.forces.applied_wrench import wrenches_of
 from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.groups import SE3
@@ -114,7 +114,9 @@ class State:
         return kinds.energy(self.forces, self.angle, flat(moved))
 
     def power(self, twist):
-        return kinds.power(self.forces, self.angle, self.targets, self.registers, flat(self.matrices), twist)
+        pose = flat(self.matrices)
+        law.measure(self.forces.laws, self.angle, pose, twist, self.registers)
+        return kinds.power(self.forces, self.angle, self.targets, self.registers, pose, twist)
 
 
 def flat(matrices):
@@ -175,7 +177,34 @@ def test_the_change_of_the_wrench_is_its_derivative(kind, seed):
 
     Five-point differences of step 1e-3 leave 1e-12 of the fifth derivative, and eps / 1e-3 of the wrench: 1e-9 of it.
     """
-    state, rng = State(kind, seed), np.random.default_rng([seed, 9])
+    check_changes(State(kind, seed), seed, kind in ("servo", "linear_servo"))  # at their limits
+
+
+# Servos, of which laws give one target or both, also by what they read elsewhere.
+LED = [
+    *EXAMPLES["servo"],
+    CLASSES["law"](
+        name="lead",
+        inputs={"q": "ground.position", "w": "between.velocity", "x": "a.x"},
+        outputs=[
+            {"servo": "s", "position": "0.3*sin(q) + 0.1*w*x", "velocity": "w*q"},
+            {"servo": "t", "position": "-0.2 + 0.01*x"},
+        ],
+    ),
+]
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_the_change_of_a_servo_that_a_law_leads_is_its_derivative(seed):
+    """As above; the work of the servo is its power."""
+    state = State("servo", seed, LED)
+    check_changes(state, seed)
+    assert np.sum(state.wrench(state.twist) * state.twist) == pytest.approx(state.power(state.twist), rel=1e-10)
+
+
+def check_changes(state, seed, rests=False):
+    """Compare changes of the wrenches with differences; rests : whether they may be zero."""
+    rng = np.random.default_rng([seed, 9])
     moves, rates, shifts = rng.normal(size=(3, 6)), rng.normal(size=(3, 6)), rng.normal(size=state.targets.shape)
     found, sums, at = np.zeros((3, 6)), np.zeros((3, 6)), np.zeros((1, 2))  # an offset of one row
     given = state.forces, state.angle, state.targets, state.registers, flat(state.matrices), state.twist
@@ -188,7 +217,7 @@ def test_the_change_of_the_wrench_is_its_derivative(kind, seed):
         sums += weight * out / 12e-3
     size = max(1.0, np.abs(sums).max(), np.abs(state.wrench(state.twist)).max())
     assert np.abs(found - sums).max() <= 1e-8 * size
-    assert np.abs(found).max() > 0.1 or kind in ("servo", "linear_servo")  # at their limits
+    assert np.abs(found).max() > 0.1 or rests
 
 
 def test_external_wrenches_change_with_the_attitude():
