@@ -81,7 +81,7 @@ def count(forces):
     return len(forces.counted) + len(forces.laws.start)
 
 
-def make_forces(described, index, ends, counted, slides=()):
+def make_forces(described, index, ends, counted, slides=(), sensors=()):
     """Rows of the forces of a scene.
 
     described : the scene's forces
@@ -89,6 +89,7 @@ def make_forces(described, index, ends, counted, slides=()):
     ends      : {joint name: (parent's index, child's index, parent frame, child frame)}
     counted   : [(joint, force or coupling)] of `unwrapped`
     slides    : names of the joints whose coordinate is a displacement
+    sensors   : of the scene, which laws may read
     """
     angles = {name: i for i, (_, name) in enumerate(counted)}
     targets, led = {servo.name: i for i, servo in enumerate(servos(described))}, law.target_registers(described)
@@ -108,7 +109,7 @@ def make_forces(described, index, ends, counted, slides=()):
         joint_law=np.array(at_joints, dtype=joint_law.ROW),
         drag=rows(drag, Drag),
         laws=law.make_laws(
-            described, index, ends, {joint: i for i, (joint, _) in enumerate(counted)}, slides, len(counted)
+            described, index, ends, {joint: i for i, (joint, _) in enumerate(counted)}, slides, len(counted), sensors
         ),
         counted=np.array([axis.fields(False, *ends[joint]) for joint, _ in counted], dtype=axis.ROW),
         exist=any(not isinstance(force, ConstantWrench) for force in described),
@@ -125,8 +126,8 @@ def servos(described):
     return [force for force in joint_laws(described) if force.group == "servos"]
 
 
-def unwrapped(described, coupled=(), turning=()):
-    """[(joint, name of a force or coupling)] of each unwrapped angle.
+def unwrapped(described, coupled=(), turning=(), sensors=()):
+    """[(joint, name of a force or coupling)] of each unwrapped angle; sensors : of the scene, which laws may read.
 
     coupled : those of couplings and drives;  turning : names of the joints whose coordinate is an angle
     """
@@ -134,7 +135,8 @@ def unwrapped(described, coupled=(), turning=()):
     def named(kind):
         return [(force.joint, force.name) for force in described if force.type == kind]
 
-    return [*named("torsional_spring_damper"), *coupled, *named("servo"), *law.unwrapped_inputs(described, turning)]
+    by_laws = law.unwrapped_inputs(described, turning, sensors)
+    return [*named("torsional_spring_damper"), *coupled, *named("servo"), *by_laws]
 
 
 def target_values(forces):

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Laws: efforts of joints and wrenches on bodies by formulas of the user, see formulas.py.
 
-Inputs are numbers of a state: coordinates and rates of joints, positions, attitudes and velocities of points of bodies,
-and signals of earlier laws. Signals are formulas of the time, inputs, parameters, tables and earlier signals. Outputs
-are formulas, too:
+Inputs are numbers of a state (readings.py): coordinates and rates of joints, positions, attitudes and velocities of
+points of bodies, numbers of sensors, and signals of earlier laws. Signals are formulas of the time, inputs, parameters,
+tables and earlier signals. Outputs are formulas, too:
 
     effort of a joint      torque about or force along its z axis on the child, the opposite on the parent (axis.py)
     wrench on a body       torque and force at a point of the body, in its axes or in world axes
@@ -44,29 +44,28 @@ from liegroup_core.fields.values import (
     suggestion,
 )
 from liegroup_core.lie.so3 import so3_to_quaternion
-from liegroup_core.lie.vec3 import add3, cross3, dot3, load3, load9, tmatvec3, vector3
+from liegroup_core.lie.vec3 import add3, cross3, dot3, load3, load9, matmul3, matrix3, sub3, tmatvec3, vector3
 
 from . import axis
 from .described import Force
 from .formulas import RESERVED, TIME, FormulaError, Program, differentiate, evaluate, names_in, table_arrays
 from .instants import exact_seconds
-from .points import point, point_velocity
+from .points import point, point_velocity, turning
+from .readings import ATTITUDE, DISTANCE_RATE, PLACE, POINTS, POSITION, RATE, SPEED, SPIN, names_of, reading, varies
 
-POSITION, RATE, PLACE, ATTITUDE, SPIN, SPEED = range(6)  # what an input is
-# {part of a quantity of a body: (what, component)}
-OF_BODY = (
-    {name: (PLACE, k) for k, name in enumerate("xyz")}
-    | {f"q{name}": (ATTITUDE, k) for k, name in enumerate("xyzw")}
-    | {f"{what}{name}": (kind, k) for what, kind in (("w", SPIN), ("v", SPEED)) for k, name in enumerate("xyz")}
-)
-OF_JOINT = {"position": POSITION, "velocity": RATE}
 INPUT = np.dtype(
-    [
+    [  # see readings.Reading
         ("what", "i8"),
         ("component", "i8"),
         ("to", "i8"),  # register
         ("body", "i8"),
-        ("point", "f8", (3,)),  # m, in the frame of the body
+        ("other", "i8"),
+        ("point", "f8", (3,)),
+        ("other_point", "f8", (3,)),
+        ("axes", "f8", (9,)),
+        ("direction", "f8", (3,)),
+        ("offset", "f8"),
+        ("resolution", "f8"),
         ("angle", "i8"),  # index of the unwrapped angle, or -1
         *axis.FIELDS,
     ],
@@ -154,7 +153,8 @@ class LawInput(Described):
 
     quantity: Text = Field(
         description="JOINT.position or JOINT.velocity of a joint with one coordinate; BODY.x y z (world axes), "
-        "qx qy qz qw, wx wy wz or vx vy vz (body axes) of a body; LAW.SIGNAL or LAW.STATE of an earlier law"
+        "qx qy qz qw, wx wy wz or vx vy vz (body axes) of a body; SENSOR.0 .. of a sensor, but no accelerations and "
+        "wrenches, and only with a period if it has noise or a resolution; LAW.SIGNAL or LAW.STATE of an earlier law"
     )
     point: Vector3 | None = Field(
         None, description="point of the body in m, in its frame, for its x y z vx vy vz; default: its origin"
@@ -327,10 +327,10 @@ class Law(Force):
         return any(TIME in names_in(text) for text in texts)
 
     def on_bodies(self, child_of):
-        """Names of the bodies that it reads or acts on, of joints the child, and of laws; child_of : {joint: body}."""
+        """Names of the bodies that it reads or acts on, and of laws; child_of : {joint, servo or sensor: body}."""
         found = [each.quantity.rpartition(".")[0] for each in self.inputs.values()]
-        found += [each.joint or each.body for each in self.outputs]
-        return sorted({child_of.get(name, name) for name in found if name})
+        found += [each.joint or each.body or each.servo for each in self.outputs]
+        return sorted({child_of.get(name, name) for name in found})
 
     def at_centres(self, com):
         """Entries that change if body frames are at the centres of mass; com : {body: (3,) m}."""
@@ -341,13 +341,8 @@ class Law(Force):
         inputs = {}
         for name, each in self.inputs.items():
             owner, _, part = each.quantity.rpartition(".")
-            inputs[name] = moved(each, owner, _has_point(part))
+            inputs[name] = moved(each, owner, part in POINTS)
         return {"inputs": inputs, "outputs": [moved(each, each.body) for each in self.outputs]}
-
-
-def _has_point(part):
-    """Whether a quantity of a body with this part is one of a point of the body."""
-    return OF_BODY.get(part, (None,))[0] in (PLACE, SPEED)
 
 
 def numbered(formulas):
@@ -393,15 +388,14 @@ def _compiled(program, text, names, tables, place):
         raise _Misplaced(f"{place_text(place, {})}: {error}", place) from None
 
 
-def refuse_law(law, bodies, moves, earlier, servos, i):
+def refuse_law(law, bodies, moves, earlier, sensors, servos, i):
     """Refuse a law whose quantities, joints, bodies or servos do not exist.
 
-    bodies : names;  moves : names of the joints with one coordinate;  earlier : [LAW.SIGNAL]
+    bodies : names;  moves : names of the joints with one coordinate;  earlier : [LAW.SIGNAL];  sensors : of the scene
     servos : names of those that no earlier law leads
     """
     where = f'forces[{i}] "{law.name}": '
-    known = [f"{joint}.{part}" for joint in moves for part in OF_JOINT]
-    known += [f"{body}.{part}" for body in bodies for part in OF_BODY] + list(earlier)
+    known, named = [*names_of(bodies, moves, sensors), *earlier], {each.name: each for each in sensors}
     for name, each in law.inputs.items():
         place = ("forces", i, "inputs", name)
         if each.quantity not in known:
@@ -410,7 +404,11 @@ def refuse_law(law, bodies, moves, earlier, servos, i):
                 f"{where}inputs.{name}: {each.quantity!r:.60} is no quantity of a law; {hint}", place=place
             )
         owner, _, part = each.quantity.rpartition(".")
-        if each.point is not None and not (owner in bodies and _has_point(part)):
+        if owner in named and law.period is None and varies(named[owner], int(part)):
+            raise SceneError(
+                f"{where}inputs.{name}: {each.quantity} has noise or a resolution: give the law a period", place=place
+            )
+        if each.point is not None and not (owner in bodies and part in POINTS):
             raise SceneError(f"{where}inputs.{name}: {each.quantity} has no point: omit it", place=place)
     for k, each in enumerate(law.outputs):
         kinds = ("joint", moves, "joint with one coordinate"), ("body", bodies, "body"), ("servo", servos, "servo")
@@ -429,12 +427,13 @@ def laws_of(described):
     return [force for force in described if force.type == "law"]
 
 
-def unwrapped_inputs(described, turning):
+def unwrapped_inputs(described, turning, sensors=()):
     """[(joint, name)] of the unwrapped angles of laws; turning : names of joints whose coordinate is an angle."""
-    found = {}
+    found, encoders = {}, {each.name: each.joint for each in sensors if each.type == "encoder"}
     for law in laws_of(described):
         for each in law.inputs.values():
             joint, _, part = each.quantity.rpartition(".")
+            joint, part = (encoders[joint], "position") if joint in encoders else (joint, part)
             if part == "position" and joint in turning:
                 found[joint] = f"{law.name} at {joint}"
     return list(found.items())
@@ -517,6 +516,7 @@ class SampledLaw(NamedTuple):
     found: np.ndarray  # registers of what its instructions compute: states after the instant, signals, outputs
     outputs: int  # number of numbers of its outputs, the last ones
     delayed: int  # number of sets of outputs that wait
+    noisy: list  # [(register, sensor, number)] of its inputs that may have noise
 
     @property
     def names(self):
@@ -527,9 +527,10 @@ class SampledLaw(NamedTuple):
         return [f"{self.law.name}.{name}" for name in own]
 
 
-def sampled_laws(described):
-    """[SampledLaw] of a scene, in order."""
+def sampled_laws(described, sensors=()):
+    """[SampledLaw] of a scene, in order; sensors : of the scene."""
     found, first, inputs, code, signals = [], 0, 0, 0, set()
+    sensors = {each.name: each for each in sensors}
     for law, compiled in _compile_all(described)[2]:
         own = sum(each.quantity not in signals for each in law.inputs.values())
         signals |= {f"{law.name}.{name}" for name in compiled.shown}
@@ -538,7 +539,13 @@ def sampled_laws(described):
         sampled, delayed = compiled.sampled, math.ceil(exact_seconds(law.delay) / exact_seconds(law.period))
         outputs = sum(map(len, compiled.outputs))
         parts = slice(inputs, inputs + own), slice(code, code + len(sampled.code))
-        found.append(SampledLaw(law, first, *parts, np.array(sampled.found, dtype=np.int64), outputs, delayed))
+        noisy = []
+        for name, each in law.inputs.items():
+            owner, _, part = each.quantity.rpartition(".")
+            if owner in sensors and hasattr(sensors[owner], "noise_at"):
+                noisy.append((compiled.inputs[name], sensors[owner], int(part)))
+        registers = np.array(sampled.found, dtype=np.int64)
+        found.append(SampledLaw(law, first, *parts, registers, outputs, delayed, noisy))
         first += len(sampled.held) + delayed * outputs
         inputs, code = inputs + own, code + len(sampled.code)
     return found
@@ -549,8 +556,8 @@ def held_of(described):
     return [name for each in sampled_laws(described) for name in each.names]
 
 
-def make_laws(described, index, ends, angles, slides, first):
-    """Laws of the forces of a scene.
+def make_laws(described, index, ends, angles, slides, first, sensors=()):
+    """Laws of the forces of a scene, with its sensors.
 
     index, ends : see kinds.make_forces;  angles : {joint: index of its unwrapped angle};  first : number of these
     slides : names of the joints whose coordinate is a displacement
@@ -559,6 +566,7 @@ def make_laws(described, index, ends, angles, slides, first):
     outputs, states, held, start, sampled_code, results, shown = [], [], [], [], [], [], []
     reads = {False: [], True: []}  # of continuous laws, and of sampled ones
     waiting = iter(sampled_laws(described))
+    sensors = {each.name: each for each in sensors}
     for law, compiled in found:
         inputs = reads[law.period is not None]
         if law.period is None:
@@ -574,12 +582,12 @@ def make_laws(described, index, ends, angles, slides, first):
         for name, each in law.inputs.items():
             if each.quantity in signals:
                 continue
-            owner, _, part = each.quantity.rpartition(".")
-            if owner in ends and part in OF_JOINT:
-                motion = axis.fields(owner in slides, *ends[owner])
-                inputs.append((OF_JOINT[part], 0, compiled.inputs[name], -1, ORIGIN, angles.get(owner, -1), *motion))
-            else:
-                inputs.append((*OF_BODY[part], compiled.inputs[name], index[owner], each.point or ORIGIN, -1, *NO_AXIS))
+            found = reading(each.quantity, ends, sensors, each.point)
+            bodies = [index[body] if body else -1 for body in (found.body, found.other)]
+            where = found.point, found.other_point, np.ravel(found.axes), found.direction
+            motion = axis.fields(found.joint in slides, *ends[found.joint]) if found.joint else NO_AXIS
+            row = found.what, found.component, compiled.inputs[name], *bodies, *where
+            inputs.append((*row, found.offset, found.resolution, angles.get(found.joint, -1), *motion))
         for each, own in zip(law.outputs, compiled.outputs):
             if each.joint is not None:
                 motion = axis.fields(each.joint in slides, *ends[each.joint])
@@ -618,6 +626,39 @@ def _velocity(row, twist):
 
 
 @kernel
+def _apart(row, pose):
+    """Vector from the point of the parent to that of the child, world axes, and its length."""
+    begin = point(pose, row["body"], vector3(row["point"]))
+    apart = sub3(point(pose, row["other"], vector3(row["other_point"])), begin)
+    return apart, math.sqrt(dot3(apart, apart))
+
+
+@kernel
+def _apart_rate(row, pose, twist):
+    """Rate of this vector; for moves in place of the twist, its displacement."""
+    begin = point_velocity(pose, twist, row["body"], vector3(row["point"]))
+    return sub3(point_velocity(pose, twist, row["other"], vector3(row["other_point"])), begin)
+
+
+@kernel
+def _point_change(row, pose, twist, moves, rates, is_child):
+    """Change of the velocity of the point of the child or parent along displacements, world axes."""
+    body, place = row["body"], vector3(row["point"])
+    if is_child:
+        body, place = row["other"], vector3(row["other_point"])
+    return add3(
+        point_velocity(pose, rates, body, place),
+        cross3(turning(pose, moves, body), point_velocity(pose, twist, body, place)),
+    )
+
+
+@kernel
+def _over(a, length):
+    """Quotient by a length; NaN for zero."""
+    return a / length if length > 0.0 else math.nan
+
+
+@kernel
 def _turned(q, turn, k):
     """Component k of the derivative of a quaternion (x, y, z, w) along a rotation vector in body axes."""
     x, y, z, w = q
@@ -643,7 +684,7 @@ def _read(laws, angle, pose, twist, registers):
 def _read_inputs(inputs, angle, pose, twist, registers):
     for e in range(len(inputs)):
         row = inputs[e]
-        what, k, body, value = row["what"], row["component"], row["body"], 0.0
+        what, k, body, value = row["what"], row["component"], row["body"], row["offset"]
         if what == POSITION:
             value = axis.coordinate(row, pose, angle[row["angle"]] if row["angle"] >= 0 else 0.0)
         elif what == RATE:
@@ -651,11 +692,18 @@ def _read_inputs(inputs, angle, pose, twist, registers):
         elif what == PLACE:
             value = point(pose, body, vector3(row["point"]))[k]
         elif what == ATTITUDE:
-            value = so3_to_quaternion(load9(pose, body, 0))[k]
+            value = so3_to_quaternion(matmul3(load9(pose, body, 0), matrix3(row["axes"])))[k]
         elif what == SPIN:
-            value = twist[body, k]
+            value += dot3(vector3(row["direction"]), load3(twist, body, 0))
+        elif what == SPEED:
+            value += dot3(vector3(row["direction"]), _velocity(row, twist))
         else:
-            value = _velocity(row, twist)[k]
+            apart, length = _apart(row, pose)
+            value = length
+            if what == DISTANCE_RATE:
+                value = _over(dot3(apart, _apart_rate(row, pose, twist)), length)
+        if row["resolution"] > 0.0:
+            value = row["resolution"] * math.floor(value / row["resolution"])
         registers[row["to"], 0] = value
 
 
@@ -673,11 +721,25 @@ def _read_changes(laws, pose, twist, moves, rates, registers):
         elif what == PLACE:
             value = point_velocity(pose, moves, body, vector3(row["point"]))[k]
         elif what == ATTITUDE:
-            value = _turned(so3_to_quaternion(load9(pose, body, 0)), load3(moves, body, 0), k)
+            axes = matrix3(row["axes"])
+            q = so3_to_quaternion(matmul3(load9(pose, body, 0), axes))
+            value = _turned(q, tmatvec3(axes, load3(moves, body, 0)), k)
         elif what == SPIN:
-            value = rates[body, k]
+            value = dot3(vector3(row["direction"]), load3(rates, body, 0))
+        elif what == SPEED:
+            value = dot3(vector3(row["direction"]), _velocity(row, rates))
         else:
-            value = _velocity(row, rates)[k]
+            apart, length = _apart(row, pose)
+            moved = _apart_rate(row, pose, moves)
+            if length > 0.0:
+                value = dot3(apart, moved) / length
+                if what == DISTANCE_RATE:
+                    rate = _apart_rate(row, pose, twist)
+                    change = sub3(
+                        _point_change(row, pose, twist, moves, rates, True),
+                        _point_change(row, pose, twist, moves, rates, False),
+                    )
+                    value = (dot3(moved, rate) + dot3(apart, change) - value * dot3(apart, rate) / length) / length
         registers[row["to"], 1] = value
         changes = changes or value != 0.0
     return changes
@@ -746,10 +808,15 @@ def _note_undefined(laws, registers):
 
 
 @kernel
-def sample(laws, inputs, code, angle, pose, twist, registers):
-    """As `measure`, then the instructions of a sampled law with its inputs."""
+def read(laws, inputs, angle, pose, twist, registers):
+    """As `measure`, then write the values of the inputs of a sampled law."""
     measure(laws, angle, pose, twist, registers)
     _read_inputs(inputs, angle, pose, twist, registers)
+
+
+@kernel
+def compute(laws, code, registers):
+    """Execute the instructions of a sampled law."""
     evaluate(code, laws.tables, laws.points, registers)
 
 

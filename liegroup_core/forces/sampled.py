@@ -19,7 +19,7 @@ import numpy as np
 
 from .instants import BEFORE, exact_seconds
 from .kinds import registers_at
-from .law import sample, sampled_laws, undefined_text
+from .law import compute, read, sampled_laws, undefined_text
 
 
 class _Times:
@@ -71,7 +71,8 @@ class Sampling:
     """Sampled laws of a Layout on the StepGrid of a run."""
 
     def __init__(self, layout, grid):
-        self._forces, self._laws = layout.model.forces, sampled_laws(layout.scene.forces)
+        self._forces, self._laws = layout.model.forces, sampled_laws(layout.scene.forces, layout.scene.sensors)
+        self._grid = grid
         self._samples, self._starts = [], []  # _Times, the latter None without a delay
         for each in self._laws:
             period, delay = exact_seconds(each.law.period), exact_seconds(each.law.delay)
@@ -123,8 +124,10 @@ class Sampling:
         for each, times in zip(self._laws, self._samples):
             if times.has(now):
                 registers = registers_at(self._forces, now.time, angles)
-                parts = laws.sampled_inputs[each.inputs], laws.sampled_code[each.code]
-                sample(laws, *parts, angles, pose, twist, registers)
+                read(laws, laws.sampled_inputs[each.inputs], angles, pose, twist, registers)
+                for register, sensor, number in each.noisy:
+                    registers[register, 0] += sensor.noise_at(self._grid.time_ns(now))[number]
+                compute(laws, laws.sampled_code[each.code], registers)
                 values, own = registers[each.found, 0], self._own(each, angles)
                 shown = len(values) - each.outputs
                 own[:shown] = values[:shown]

@@ -8,13 +8,28 @@ from fractions import Fraction
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from liegroup_core.compiling import kernel, subroutine
 
 from .formulas import Postfix, evaluate
-from .vectors import FRAME, add_force, add_three, dot, place, point, slide, three, turned, turned_back, turning
+from .vectors import (
+    FRAME,
+    add_force,
+    add_three,
+    cross,
+    dot,
+    place,
+    plus,
+    point,
+    slide,
+    three,
+    turned,
+    turned_back,
+    turning,
+)
 
-ANGLE, RATE, SLIDE, SLIDE_RATE, PLACE, ATTITUDE, SPIN, SPEED = range(8)  # inputs
+ANGLE, RATE, SLIDE, SLIDE_RATE, PLACE, ATTITUDE, SPIN, SPEED, APART, APART_RATE = range(10)  # inputs
 TORQUE, FORCE, BODY, WORLD = range(4)  # outputs: effort of a joint, or wrench in the axes of the body or the world
 TURN, SHIFT = 4, 5  # target of a servo about or along the axis of a joint
 NS = 10**9  # instants are at whole ns
@@ -26,7 +41,9 @@ class LawLoads(NamedTuple):
     """All laws of a scene; values are the time, the inputs, the states and their rates, the signals and the outputs."""
 
     read: np.ndarray  # (i, 4) what, number of the value, then parent and child, or body and component
-    read_at: np.ndarray  # (i, 9) axis in the parent's axes, origins of the joint frames in m; or point of the body, m
+    # (i, 10) axis in the parent's axes, origins of the joint frames in m, resolution or 0; two points in m of the two
+    # bodies; or point of the body in m or quaternion w, x, y, z of a frame, then a direction in it, and an offset
+    read_at: np.ndarray
     read_angle: np.ndarray  # (i,) index of the integrated angle, or -1
     code: np.ndarray  # (p, 2) instructions
     numbers: np.ndarray
@@ -34,7 +51,7 @@ class LawLoads(NamedTuple):
     points: np.ndarray  # (q, 2) their points
     acts: np.ndarray  # (o, 4) what, number of the first of its 1, 2 or 6 values, parent or body, child; of a servo its
     # row in loads, and 0, 1 or 2: both values, position, velocity
-    acts_at: np.ndarray  # (o, 9) as read_at; of a servo its own target
+    acts_at: np.ndarray  # (o, 10) as read_at; of a servo its own target
     held_to: np.ndarray  # (h,) numbers of the values that sampled laws hold
     held: np.ndarray  # (h,) these values
     states: np.ndarray  # (s, 2) numbers of the values of a state and of its rate
@@ -42,7 +59,7 @@ class LawLoads(NamedTuple):
     sizes: np.ndarray  # (2,) numbers of values and of places of the stack
 
 
-class SampledLaw(NamedTuple):
+class PeriodicLaw(NamedTuple):
     """A law with a period; its values are in those of LawLoads."""
 
     period: Fraction  # s
@@ -53,6 +70,7 @@ class SampledLaw(NamedTuple):
     first: int  # number of its first held value, of states, signals, outputs, and sets of outputs, the oldest first
     outputs: int  # how many values they are
     waiting: int  # number of sets of outputs that start later
+    noisy: list  # [(number of a value, sensor, number of the sensor)] that it reads
 
 
 def laws_of(scene):
@@ -63,6 +81,8 @@ def laws_of(scene):
 def angles_of(scene, joints):
     """Joints whose angle the laws read; joints : {name: joint}."""
     read = [each.quantity.rpartition(".") for law in laws_of(scene) for each in law.inputs.values()]
+    encoders = {each.name: (each.joint, "", "position") for each in scene.sensors if each.type == "encoder"}
+    read = [encoders.get(each[0], each) for each in read]
     names = dict.fromkeys(owner for owner, _, part in read if owner in joints and part == "position")
     return [joints[name] for name in names if joints[name].type != "prismatic"]
 
@@ -77,19 +97,46 @@ def build_laws(scene, index, joints, frames, angles, servos):
 
     angles : {joint: index of its angle};  servos : {name: (TURN or SHIFT, row in loads, force)}
 
-    returns (LawLoads, [SampledLaw])
+    returns (LawLoads, [PeriodicLaw])
     """
     continuous, count, signals, states = Postfix(), 1, {}, []
     own_reads, acts, acts_at, held_to, held, sampled = ([], [], []), [], [], [], [], []
 
     def geometry(name):
         joint, (F_a, F_b) = joints[name], frames[name]
-        return (index[joint.parent], index[joint.child]), np.concatenate([F_a[:3, 2], F_a[:3, 3], F_b[:3, 3]])
+        return (index[joint.parent], index[joint.child]), np.array([*F_a[:3, 2], *F_a[:3, 3], *F_b[:3, 3], 0.0])
 
     def at_point(place):
-        return np.concatenate([(0.0, 0.0, 0.0) if place is None else place, np.zeros(6)])
+        return np.concatenate([(0.0, 0.0, 0.0) if place is None else place, np.zeros(7)])
 
+    def of_body(name, part, place, axes=None, offset=0.0):
+        what, k = _OF_BODY[part[:-1]], "xyzw".index(part[-1])
+        at, axes = at_point(place), np.eye(3) if axes is None else axes
+        if what == ATTITUDE:
+            at[[1, 2, 3, 0]] = Rotation.from_matrix(axes).as_quat()
+        elif what != PLACE:
+            at[3:6], at[9] = axes[:, k], offset
+        return what, (index[name], k), at
+
+    def of_sensor(sensor, number):
+        if sensor.type == "encoder":
+            what = ANGLE if joints[sensor.joint].type != "prismatic" else SLIDE
+            ends, at = geometry(sensor.joint)
+            at[9] = sensor.resolution or 0.0
+            return what, ends, at
+        if sensor.type == "distance":
+            ends = index[sensor.parent], index[sensor.child]
+            return APART + number, ends, np.array([*sensor.parent_point, *sensor.child_point, *np.zeros(4)])
+        parts = "x y z qx qy qz qw vx vy vz wx wy wz" if sensor.type == "pose" else "qx qy qz qw wx wy wz"
+        part, frame, offset = parts.split()[number], sensor.frame, 0.0
+        axes, place = (None, None) if frame is None else (frame.pose[:3, :3], frame.pose[:3, 3])
+        if sensor.type == "imu" and part[0] == "w":
+            offset = sensor.angular_velocity_bias["xyz".index(part[1])]
+        return of_body(sensor.body, part, place, axes, offset)
+
+    sensors = {each.name: each for each in scene.sensors}
     for law in laws_of(scene):
+        noisy = []
         program, (read, read_at, read_angle) = continuous, own_reads
         if law.period is not None:
             program, (read, read_at, read_angle) = Postfix(), ([], [], [])
@@ -100,12 +147,17 @@ def build_laws(scene, index, joints, frames, angles, servos):
                 continue
             owner, _, part = each.quantity.rpartition(".")
             names[name], angle = count, -1
-            if owner in joints:
+            if owner in sensors:
+                what, ends, at = of_sensor(sensors[owner], int(part))
+                angle = angles[sensors[owner].joint] if what == ANGLE else -1
+                if hasattr(sensors[owner], "noise_at"):
+                    noisy.append((count, sensors[owner], int(part)))
+            elif owner in joints:
                 what = 2 * (joints[owner].type == "prismatic") + (part == "velocity")
                 angle = angles[owner] if what == ANGLE else -1
                 ends, at = geometry(owner)
             else:
-                what, ends, at = _OF_BODY[part[:-1]], (index[owner], "xyzw".index(part[-1])), at_point(each.point)
+                what, ends, at = of_body(owner, part, each.point)
             read.append((what, count, *ends))
             read_at.append(at)
             read_angle.append(angle)
@@ -131,7 +183,7 @@ def build_laws(scene, index, joints, frames, angles, servos):
                 what, row, force = servos[each.servo]
                 texts = [text for text in (each.position, each.velocity) if text is not None]
                 ends = row, 0 if len(texts) == 2 else 1 if each.velocity is None else 2
-                at = np.array([force.position, force.velocity, *np.zeros(7)])
+                at = np.array([force.position, force.velocity, *np.zeros(8)])
             elif each.body is None:
                 what, texts = TORQUE if joints[each.joint].type != "prismatic" else FORCE, [each.effort]
                 ends, at = geometry(each.joint)
@@ -161,11 +213,12 @@ def build_laws(scene, index, joints, frames, angles, servos):
         held_to += [number for _, number in outputs] + [UNUSED] * (waiting * len(outputs))
         held += [each.start for each in law.states.values()] + [0.0] * (len(held_to) - first - len(law.states))
         times = _exact(law.period), _exact(law.delay)
-        sampled.append(SampledLaw(*times, (read, read_at, read_angle), program, found, first, len(outputs), waiting))
+        reads = read, read_at, read_angle
+        sampled.append(PeriodicLaw(*times, reads, program, found, first, len(outputs), waiting, noisy))
     loads = LawLoads(
         **_program(own_reads, continuous),
         acts=np.array(acts, dtype=int).reshape(-1, 4),
-        acts_at=np.array(acts_at, dtype=float).reshape(-1, 9),
+        acts_at=np.array(acts_at, dtype=float).reshape(-1, 10),
         held_to=np.array(held_to, dtype=int),
         held=np.array(held, dtype=float),
         states=np.array(states, dtype=int).reshape(-1, 2),
@@ -180,7 +233,7 @@ def _program(reads, program):
     read, read_at, read_angle = reads
     return {
         "read": np.array(read, dtype=int).reshape(-1, 4),
-        "read_at": np.array(read_at, dtype=float).reshape(-1, 9),
+        "read_at": np.array(read_at, dtype=float).reshape(-1, 10),
         "read_angle": np.array(read_angle, dtype=int),
         "code": np.array(program.code, dtype=int).reshape(-1, 2),
         "numbers": np.array(program.numbers, dtype=float),
@@ -193,30 +246,41 @@ def _program(reads, program):
 def _input(laws, i, state, frame, angle):
     """Value of an input."""
     what, a, b, at = laws.read[i, 0], laws.read[i, 2], laws.read[i, 3], three(laws.read_at, i, 0)
+    last = laws.read_at[i, 9]
     if what == ANGLE:
-        return angle[laws.read_angle[i]]
+        value = angle[laws.read_angle[i]]
+        return np.floor(value / last) * last if last > 0.0 else value
     if what == RATE:
         return dot(turned(frame, a, at), turning(frame, a, b))
     if what <= SLIDE_RATE:
         _, _, value, rate = slide(frame, a, b, at, three(laws.read_at, i, 3), three(laws.read_at, i, 6))
+        value = np.floor(value / last) * last if last > 0.0 else value
         return value if what == SLIDE else rate
     if what == PLACE:
         return point(frame, a, at)[0][b]
     if what == ATTITUDE:
         w, x, y, z = state[a, 0], state[a, 1], state[a, 2], state[a, 3]
         length = np.sqrt(w * w + x * x + y * y + z * z)
-        return state[a, (b + 1) % 4] / (length if w >= 0.0 else -length)
+        r, own = laws.read_at[i, 0], three(laws.read_at, i, 1)
+        scalar = w * r - dot((x, y, z), own)
+        found = plus(plus(cross((x, y, z), own), w, own), r, (x, y, z))
+        part = scalar if b == 3 else found[b % 3]
+        return part / (length if scalar >= 0.0 else -length)
     if what == SPIN:
-        return state[a, 10 + b]
-    return turned_back(frame, a, point(frame, a, at)[1])[b]
+        return last + dot(three(laws.read_at, i, 3), three(state, a, 10))
+    if what == SPEED:
+        return last + dot(three(laws.read_at, i, 3), turned_back(frame, a, point(frame, a, at)[1]))
+    begin, end = point(frame, a, at), point(frame, b, three(laws.read_at, i, 3))
+    apart = plus(end[0], -1.0, begin[0])
+    length = np.sqrt(dot(apart, apart))
+    return length if what == APART else dot(apart, plus(end[1], -1.0, begin[1])) / length
 
 
 @subroutine
-def _evaluate(laws, state, frame, angle, stack, values):
-    """Write the inputs of laws, and what their formulas give."""
+def _read(laws, state, frame, angle, values):
+    """Write the inputs of laws."""
     for i in range(len(laws.read)):
         values[laws.read[i, 1]] = _input(laws, i, state, frame, angle)
-    evaluate(laws.code, laws.numbers, laws.first, laws.points, stack, values)
 
 
 @subroutine
@@ -232,7 +296,8 @@ def set_values(laws, time, state, frame, angle, stack, values):
     first = len(angle) - len(laws.states)
     for s in range(len(laws.states)):
         values[laws.states[s, 0]] = angle[first + s]
-    _evaluate(laws, state, frame, angle, stack, values)
+    _read(laws, state, frame, angle, values)
+    evaluate(laws.code, laws.numbers, laws.first, laws.points, stack, values)
 
 
 @subroutine
@@ -248,11 +313,11 @@ def set_targets(laws, values, turn_law, slide_law):
         law[row, 0] = law[row, 1] * position + law[row, 2] * velocity
 
 
-class Sampling:
+class HeldValues:
     """Sampled laws of one integration.
 
     loads : LawLoads, whose held values change
-    laws  : [SampledLaw]
+    laws  : [PeriodicLaw]
     bodies : number of bodies
     """
 
@@ -296,7 +361,10 @@ class Sampling:
         for law, own in zip(self._laws, self._own):
             if self._next(law, 0, now - 1) == now:
                 set_values(self.loads, time, bodies, frame, angle, stack, values)
-                _evaluate(own, bodies, frame, angle, stack, values)
+                _read(own, bodies, frame, angle, values)
+                for number, sensor, k in law.noisy:
+                    values[number] += sensor.noise_at(now)[k]
+                evaluate(own.code, own.numbers, own.first, own.points, stack, values)
                 found = values[law.found]
                 shown = len(found) - law.outputs
                 held[law.first : law.first + shown] = found[:shown]

@@ -25,7 +25,7 @@ def build_system(scene, pose, angles=None):
     pose   : (n, 12) R row by row (body -> world), then r in m, at the start of the integration
     angles : (u,) rad, those of `scene.unwrapped` at that pose, then what sampled laws hold and the states of laws;
              None: angles in (-pi, pi], states at their start
-    returns (System, (t,) angles in rad at that pose, of the joints that need one, then states, [SampledLaw])
+    returns (System, (t,) angles in rad at that pose, of the joints that need one, then states, [PeriodicLaw])
     Raises SimulationError for a joint or force without equations here.
     """
     index = {body.name: i for i, body in enumerate(scene.bodies)} | {"world": len(scene.bodies)}

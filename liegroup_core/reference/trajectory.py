@@ -15,7 +15,7 @@ from liegroup_core.scene.consistency import resolve_drives
 from liegroup_core.threads import one_blas_thread
 
 from .collocation import CollocationSteps
-from .laws import Sampling
+from .laws import HeldValues
 from .rigid_body_dae import STATE, chosen_rows, rates, unit_rows
 from .system import build_system, with_targets
 
@@ -311,7 +311,7 @@ class _Run:
     """Integration with one tolerance, continued from one call of `at` to the next."""
 
     def __init__(self, system, state, start, pieces, rtol, most_steps, sampled, bodies, halves):
-        self.sampling = Sampling(system.laws, sampled, bodies)
+        self.sampling = HeldValues(system.laws, sampled, bodies)
         # Of two runs whose steps end at the same instants, the more exact one takes two: else both had the same errors.
         self._halves = halves
         self._system, self._rtol, self._most_steps = system, rtol, most_steps
