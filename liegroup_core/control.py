@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Controllers in Python: functions that a run calls at exact times, before it goes on from there."""
 
-from fractions import Fraction
 from pathlib import Path
 
 from liegroup_core.errors import LieGroupSimError
 from liegroup_core.fields.arguments import got, is_finite
-from liegroup_core.forces.instants import AFTER, NS, exact_step
+from liegroup_core.forces.instants import AFTER, exact_seconds
 
 
 class ControlError(LieGroupSimError):
@@ -18,8 +17,7 @@ class _Periodic:
 
     def __init__(self, function, period, grid):
         self.function, self._grid = function, grid
-        size, parts = exact_step(period)
-        self._period = Fraction(size, parts * NS)
+        self._period = exact_seconds(period)
         self.forget()
 
     def forget(self):

@@ -16,6 +16,8 @@ from liegroup_core.control import Controls
 from liegroup_core.errors import SimulationError
 from liegroup_core.fields.arguments import finite, floats, got, is_count, is_finite
 from liegroup_core.forces.instants import AFTER, LATEST, NEVER, NOT_AHEAD, StepGrid
+from liegroup_core.forces.law import WITNESS
+from liegroup_core.forces.sampled import Sampling
 from liegroup_core.inputs import Inputs
 from liegroup_core.joint_events import JointEvents
 from liegroup_core.layout import Layout, make_layout
@@ -31,7 +33,7 @@ from liegroup_core.reports import Warnings, explain
 from liegroup_core.scene.description import Scene
 from liegroup_core.settings import SETTINGS, check_group, check_options, checked
 from liegroup_core.state import State, decoded, kept, set_kept
-from liegroup_core.status import EVENT, OK
+from liegroup_core.status import EVENT, NOT_FINITE, OK
 
 Floats = NDArray[np.float64]
 
@@ -147,7 +149,7 @@ class Engine:
         arrays = self._work.targets, self._work.motions
         self.inputs = Inputs(self.layout, self._grid, *arrays, self, self._warnings.late)
         self.events = JointEvents(self.layout, self._switching)
-        self._controls = Controls(self._grid)
+        self._controls, self._sampling = Controls(self._grid), Sampling(self.layout, self._grid)
         self._start = initial_state(self.layout.centred)
         self._block, self._halted = FIRST_BLOCK, False
         warm_up(self._touch)
@@ -216,6 +218,8 @@ class Engine:
         if not (is_count(steps) and steps < NEVER):
             raise ValueError(f"steps must be a whole number from 0 to {NEVER - 1}, {got(steps)}")
         self._start_at(pose, twist, self._grid.boundary(int(steps)), self.layout.angles(pose, angles))
+        if angles is None:
+            self._sample_laws()
         if self._switching is not None and coordinates is not None:
             self._switching.expect(coordinates)
 
@@ -521,6 +525,7 @@ class Engine:
             if done:
                 base = stop if done >= steps else self._grid.boundary(self.base.step + done)
                 self._stand(base, max(base, self.now))
+                self._sample_laws()
             if status == OK:
                 if changed:
                     self.inputs.apply(stop, changed)
@@ -543,6 +548,14 @@ class Engine:
             if not base < self.inputs.schedule.next_of_scene:
                 self.inputs.update(base)
 
+    def _sample_laws(self):
+        """Evaluate the sampled laws that are due at the base, and let their delayed outputs start."""
+        if self._sampling and self._sampling.has(self.base):
+            undefined = self._sampling.meet(self.base, self._work.angle, self._pose, self._twist)
+            self.inputs.changes += 1
+            if undefined:
+                raise SimulationError(f"stopped at t = {self.time:.9g} s: {undefined}", NOT_FINITE)
+
     def _next_stop(self, until):
         """(Instant up to which the inputs that act now stay as they are, whole steps to it, their changes there).
 
@@ -550,18 +563,23 @@ class Engine:
         """
         base, grid, schedule = self.base, self._grid, self.inputs.schedule
         self.inputs.update(base)
+        sampled = self._sampled_after(base)
         if self._switching is None and self.runs_ahead:
-            stop, longest = min(schedule.next_after(base), until), base.step + self._block
+            stop, longest = min(schedule.next_after(base), sampled, until), base.step + self._block
             if stop == until or stop.step >= longest:
                 stop = grid.boundary(min(stop.step, longest))
             return (stop, stop.step - base.step + (stop.offset > 0), ()) if stop > base else (None, 0, ())
         change, inside = NEVER, ()
         if schedule:
             change, inside = schedule.next_change(base.step), schedule.inside(base.step)
+        if sampled.step == base.step:
+            inside = sorted({*inside, sampled})
+        elif sampled is not AFTER:
+            change = min(change, sampled.step)
         for instant in inside:
             # A part ends only where a total changes.
             if base < instant < until:
-                if changed := schedule.update(instant):
+                if (changed := schedule.update(instant)) or instant == sampled:
                     return instant, 0, changed
                 self.inputs.apply(instant, ())
         steps = min(until.step, base.step + 1 if inside or base.offset else change) - base.step
@@ -590,7 +608,9 @@ class Engine:
         if self.now == self.base:
             return self._pose, self._twist, self._work.angle, None
         if self._here is None:
-            self._here = self._inside() or self._interpolated() or self._stepped()
+            self._here = found = self._inside() or self._interpolated() or self._stepped()
+            if self._sampling and self._sampling.has(self.now):
+                self._sampling.meet(self.now, found[2], *found[:2])
         return self._here
 
     def _inside(self):
@@ -656,9 +676,14 @@ class Engine:
             if events is not None:
                 switching.take_log(events)
 
+    def _sampled_after(self, instant):
+        """First Instant after one at which a sampled law changes what it holds."""
+        return self._sampling.after(instant) if self._sampling else AFTER
+
     def changes_before(self, steps):
         """Whether an input changes after the present time and before a step count."""
-        return self.inputs.schedule.next_after(self.now) < self._grid.boundary(steps)
+        change = min(self.inputs.schedule.next_after(self.now), self._sampled_after(self.now))
+        return change < self._grid.boundary(steps)
 
     def instant_inside(self, step, part):
         """Instant of an exact fraction of a step."""
@@ -683,17 +708,20 @@ class Engine:
         return found
 
     def _note_lead(self):
-        self._served = min(self.lead[0], self.inputs.schedule.next.step)
+        self._served = min(self.lead[0], self.inputs.schedule.next.step, self._sampled_after(self.base).step)
 
     def _prepare(self, start, h, end):
         """Set the times of steps of size h from an Instant to another."""
         clock, whole = self._work.clock, h == self.step and not start.offset
         self._set_clock(start, start.step if whole else None)
         self._prepared, self._served = self.inputs.changes, -1
+        self._work.registers[WITNESS, 0] = 0.0
+        if self._sampling:
+            self._work.targets[-1, 0] = self._sampling.last(start)
         clock.from_step[0], clock.since[0] = self._grid.parts(start)
         clock.to_step[0], clock.until[0] = self._grid.parts(end)
         if self._stop_at is not None:
-            known = self.inputs.known_end
+            known = min(self.inputs.known_end, self._sampled_after(start))
             if known is not AFTER or self._limited:
                 self._stop_at(self._grid, start, known)
                 self._limited = known is not AFTER

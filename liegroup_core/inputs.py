@@ -356,8 +356,10 @@ class Inputs:
             self._insert(command, begin, end)
 
     def _servo(self, joint):
-        """Number of the servo of a joint. Raises ValueError for a joint without one."""
+        """Number of the servo of a joint. Raises ValueError for a joint without one, or with one that a law leads."""
         check_name(joint, self._layout.servos, "joint {} has no servo")
+        if law := self._layout.leaders.get(joint):
+            raise ValueError(f"the target of the servo of {joint} is an output of the law {law}")
         return self._layout.servos[joint]
 
     def command_motion(

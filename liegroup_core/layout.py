@@ -15,7 +15,7 @@ from liegroup_core.forces.acting import Acting
 from liegroup_core.forces.applied_wrench import wrenches_of
 from liegroup_core.forces.commands import MOTION, SCENE, Command
 from liegroup_core.forces.joint_effort import unit_wrenches
-from liegroup_core.forces.law import laws_of, signals_of, states_of
+from liegroup_core.forces.law import held_of, laws_of, leaders, signals_of, states_of
 from liegroup_core.joints.coupling import COUPLED
 from liegroup_core.joints.kinds import ROLLING
 from liegroup_core.joints.limits import limits_of
@@ -270,14 +270,15 @@ class Layout:
 
     @cached_property
     def states(self):
-        """Names of the states of laws, LAW.STATE, in the order of `angles`."""
-        return tuple(name for name, _ in states_of(self.scene.forces))
+        """Names of what sampled laws hold and of the states of laws, LAW.STATE, in the order of `angles`."""
+        return (*held_of(self.scene.forces), *(name for name, _ in states_of(self.scene.forces)))
 
     @cached_property
     def law_efforts(self):
         """[(joint, register)] of the efforts of laws."""
         rows = self.model.forces.laws.outputs[:]
-        joints = [each.joint for law in laws_of(self.scene.forces) for each in law.outputs]
+        outputs = [each for law in laws_of(self.scene.forces) for each in law.outputs]
+        joints = [each.joint for each in outputs if each.servo is None]
         return [(joint, int(row["registers"][0])) for joint, row in zip(joints, rows) if joint is not None]
 
     @cached_property
@@ -290,6 +291,12 @@ class Layout:
     def servos(self):
         """{joint: number} of the joints with a servo; the number is that of its targets."""
         return {servo.joint: i for i, servo in enumerate(kinds.servos(self.scene.forces))}
+
+    @cached_property
+    def leaders(self):
+        """{joint: law} of the servos whose target is an output of a law."""
+        joints = {servo.name: servo.joint for servo in kinds.servos(self.scene.forces)}
+        return {joints[name]: law for name, law in leaders(self.scene.forces).items()}
 
     @cached_property
     def size(self):
@@ -374,7 +381,7 @@ class Layout:
         return Sample(self, time, time_ns, steps, pose, twist, near)
 
     def angles(self, pose, near=None):
-        """Unwrapped angles (k,), see `Scene.unwrapped`, at a pose (n, 12), rad, then states of laws.
+        """Unwrapped angles (k,), see `Scene.unwrapped`, at a pose (n, 12), rad, then numbers of laws, see `states`.
 
         near : see `sample`
         """

@@ -7,7 +7,7 @@ from time import thread_time
 
 import numpy as np
 
-from liegroup_core.forces.law import owners_of_kinks
+from liegroup_core.forces.law import owners_of_kinks, undefined_of
 from liegroup_core.joints.limits import BeyondLimits
 from liegroup_core.joints.motion import at, overshoot
 from liegroup_core.mechanism.bodies import LARGEST_TURN, NEAR_SOLVES, SINGULAR_SOLVES, STEP_TURN
@@ -216,6 +216,10 @@ def reason(engine, status):
         force = unwrapped[number][1] if number < len(unwrapped) else f"stops {stops[0].name!r}"
     if engine.layout.motions and (text := _beyond_reach(engine)):
         return text
+    # A stage beyond the last valid state, not one of an attempt before it.
+    undefined = undefined_of(engine.scene.forces, engine._work.registers)
+    if status & 0xFF in FAST and undefined and undefined[0] >= engine.base.time:
+        return undefined[1]
     smaller, fewer = _advice(engine)
     text = MESSAGES[status & 0xFF].format(
         joint=joint, force=force, body=body, angle=angle, hint=hint, events=MOST_EVENTS, smaller=smaller, fewer=fewer

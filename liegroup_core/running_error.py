@@ -26,6 +26,9 @@ that with switches all of the distance counts. So it does once a substep was nea
 above the expected one, as where a force jumps: there the order is not seen. A substep that would be the same for both
 is divided by the companion (error_control.DIVIDED).
 
+Instants of sampled laws end many steps of both, so that errors of the companion would be larger in some and smaller in
+others, and could cancel. There, without error control, its steps are half as long, and the distance is the error.
+
 With error control and without an accuracy, the companion takes one step for four of the simulation. With equal
 steps the last substep, which ends with the step, would often make the substeps of both equal. Its substeps are at
 most 4/3 of a step, because it would step over contacts that the simulation meets. In parts of steps, which changes of
@@ -66,7 +69,7 @@ PART = 0.05  # of the horizon, between two looks at the estimate: errors may ris
 # infinite. Bouncing that comes to rest by itself is far below it when its impacts are that dense.
 LOST = "the second run, which shows the error, cannot go on"  # where the estimate is infinite
 LOST_REBOUND = 1e-7
-PARTS = 2  # of the step up to an event, whose size does not depend on that of other steps
+PARTS = 2  # of a companion's step with sampled laws, and up to an event, whose size does not depend on other steps
 # Fraction of the distance that counts if the order is not seen.
 LEAST, LEAST_HIGH = 1.0, 0.75
 CONTROLLED = 0.5  # the same with error control
@@ -107,6 +110,8 @@ class RunningError:
         else:
             ratio, least = self.ours / self._theirs, LEAST if order < HIGH else LEAST_HIGH
         self.ratio, self.size = ratio, engine.layout.size
+        if len(engine.layout.model.forces.laws.held) and not controlled:
+            self._theirs *= PARTS
         step = self.ours / self._theirs * engine.step
         self._companion = self._make_companion(step, ratio**method.power if controlled else 1.0)
         if controlled and not by_work:

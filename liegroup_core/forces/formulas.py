@@ -18,6 +18,7 @@ Walther, Evaluating Derivatives, chapter 3. Accuracy: test/core/test_laws.py, ag
 """
 
 import ast
+import contextlib
 import math
 import warnings
 
@@ -104,7 +105,19 @@ class Program:
 
     def __init__(self):
         self.registers, self.code, self.owners, self.tables = [0.0], [], [], []
-        self._numbers, self._known = {}, {}
+        self._numbers, self._known, self._others = {}, {}, 0
+
+    @contextlib.contextmanager
+    def apart(self):
+        """Instructions of their own, executed at other times: they share no result with others. Yields their list."""
+        kept = self.code, self._known, self._others
+        self.code, self._known, self._others = [], {}, self._others + len(self.code)
+        try:
+            yield self.code
+        finally:
+            count = len(self.code)
+            self.code, self._known, self._others = kept
+            self._others += count
 
     def new(self, value=0.0):
         """Register of its own, such as that of an input or a parameter."""
@@ -128,22 +141,11 @@ class Program:
         """Register of the result of an operation."""
         key = operation, a, b, c
         if key not in self._known:
-            if len(self.code) >= MOST_INSTRUCTIONS:
+            if self._others + len(self.code) >= MOST_INSTRUCTIONS:
                 raise FormulaError(f"the formulas of a scene must have at most {MOST_INSTRUCTIONS} operations")
             self._known[key] = to = self.new()
             self.code.append((operation, to, a, b, self.new() if operation in BRANCHED else c))
         return self._known[key]
-
-    def branched(self, varying):
-        """[number of an instruction] with branches, whose arguments depend on a set of registers."""
-        varying, found = set(varying), []
-        for i, (operation, to, a, b, c) in enumerate(self.code):
-            given = (a,) if operation in (ABS, TABLE) else (a, b) if operation in BRANCHED else (a, b, c)
-            if varying.intersection(given):
-                varying.add(to)
-                if operation in BRANCHED:
-                    found.append(i)
-        return found
 
     def compile(self, text, names, tables=()):
         """Register of the value of a formula.

@@ -64,6 +64,12 @@ def exact_step(h):
     return (found * NS).as_integer_ratio()
 
 
+def exact_seconds(time):
+    """Time in s as a Fraction: the simplest one within the rounding of its float."""
+    size, parts = exact_step(time) if time else (0, 1)
+    return Fraction(size, parts * NS)
+
+
 class StepGrid:
     """Instants of steps of size h in s.
 

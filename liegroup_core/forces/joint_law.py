@@ -3,9 +3,10 @@
 
     effort on the child   f + k (q* - q) + c (v* - qdot) ,   within +- limit
 Springs with dampers have q* at rest and v* = 0. Targets q*, v* of servos come from the scene or from commands, which
-are constant between two instants of the schedule. A motor has f at rest and c = |f| / no-load speed: the
-characteristic of a DC motor at constant voltage. It holds at every rate: above the no-load speed the motor brakes, and
-for rates opposite to f the effort exceeds f. The effort is smooth, so that methods keep their order.
+are constant between two instants of the schedule, or they are outputs of a law (law.py). A motor has f at rest and
+c = |f| / no-load speed: the characteristic of a DC motor at constant voltage. It holds at every rate: above the no-load
+speed the motor brakes, and for rates opposite to f the effort exceeds f. The effort is smooth, so that methods keep
+their order.
 
 The angle of a spring or servo is unwrapped. Its value after the last step is part of the state.
 """
@@ -29,6 +30,8 @@ ROW = np.dtype(
         ("group", "i8"),  # index in GROUPS; the first have potential energy
         ("angle", "i8"),  # index of the unwrapped angle, or -1
         ("target", "i8"),  # index of the target position and velocity, which replace those of the row, or -1
+        ("position_from", "i8"),
+        ("velocity_from", "i8"),  # registers of laws with the target position and velocity, or -1
         *((key, "f8") for key in LAW),
         *axis.FIELDS,
     ],
@@ -155,18 +158,22 @@ class LinearServo(_Servo, SlideForce):
     velocity: Number = Field(0.0, description="target velocity in m/s until a command")
 
 
-def make_row(force, ends, angle, target):
-    """Record of a force; ends as in kinds.make_forces, angle and target: see ROW."""
+def make_row(force, ends, angle, target, registers):
+    """Record of a force; ends as in kinds.make_forces, angle, target and registers (2,): see ROW."""
     motion = axis.fields(force.joint_moves == "slides", *ends[force.joint])
-    return GROUPS.index(force.group), angle, target, *(LAW | force.law).values(), *motion
+    return GROUPS.index(force.group), angle, target, *registers, *(LAW | force.law).values(), *motion
 
 
 @kernel
-def _effort(row, unit, angle, targets, pose, twist):
+def _effort(row, unit, angle, targets, registers, pose, twist):
     """Effort on the child, N m or N; unit: see axis.unit_wrenches."""
     effort, position, velocity, near = row["effort"], row["position"], row["velocity"], 0.0
     if row["target"] >= 0:
         position, velocity = targets[row["target"], 0], targets[row["target"], 1]
+    if row["position_from"] >= 0:
+        position = registers[row["position_from"], 0]
+    if row["velocity_from"] >= 0:
+        velocity = registers[row["velocity_from"], 0]
     if row["stiffness"] > 0.0:
         if row["angle"] >= 0:
             near = angle[row["angle"]]
@@ -176,23 +183,24 @@ def _effort(row, unit, angle, targets, pose, twist):
 
 
 @kernel
-def add_wrench(rows, angle, targets, pose, twist, wrench_out):
+def add_wrench(rows, angle, targets, registers, pose, twist, wrench_out):
     """Add the wrenches of all rows.
 
     angle   : (k,) rad, all unwrapped angles after the last step
     targets : (k, 2) target position and velocity of all servos
+    registers : (m, 2) of laws, after law.measure in this state
     """
     for e in range(len(rows)):
         row = rows[e]
         unit = axis.unit_wrenches(row, pose)
-        axis.apply(row, unit, _effort(row, unit, angle, targets, pose, twist), wrench_out)
+        axis.apply(row, unit, _effort(row, unit, angle, targets, registers, pose, twist), wrench_out)
 
 
 @kernel
-def efforts(rows, angle, targets, pose, twist, out):
+def efforts(rows, angle, targets, registers, pose, twist, out):
     """Write the efforts of all rows on the children of their joints to out (k,); arguments as for `add_wrench`."""
     for e in range(len(rows)):
-        out[e] = _effort(rows[e], axis.unit_wrenches(rows[e], pose), angle, targets, pose, twist)
+        out[e] = _effort(rows[e], axis.unit_wrenches(rows[e], pose), angle, targets, registers, pose, twist)
 
 
 @kernel
@@ -209,7 +217,7 @@ def energy(rows, angle, pose):
 
 
 @kernel
-def powers(rows, angle, targets, pose, twist):
+def powers(rows, angle, targets, registers, pose, twist):
     """Powers by GROUPS, W: -sum c qdot^2 of dampers, never positive; sum effort * qdot of motors and servos."""
     dampers = motors = servos = 0.0
     for e in range(len(rows)):
@@ -219,7 +227,7 @@ def powers(rows, angle, targets, pose, twist):
         if row["group"] == 0:
             dampers -= row["damping"] * rate * rate
         else:
-            power = _effort(row, unit, angle, targets, pose, twist) * rate
+            power = _effort(row, unit, angle, targets, registers, pose, twist) * rate
             if row["group"] == 1:
                 motors += power
             else:
@@ -228,19 +236,23 @@ def powers(rows, angle, targets, pose, twist):
 
 
 @kernel
-def add_change(rows, angle, targets, pose, twist, moves, rates, shifts, at, wrench_out):
+def add_change(rows, angle, targets, registers, pose, twist, moves, rates, shifts, at, wrench_out):
     """Add the changes of the wrenches along displacements, see kinds.add_changes; at a limit efforts do not change.
+
+    registers : after law.measure_changes along the displacements
 
     shifts : changes of the targets of all servos, from row `at` on
     """
     for e in range(len(rows)):
         row = rows[e]
         unit = axis.unit_wrenches(row, pose)
-        effort = _effort(row, unit, angle, targets, pose, twist)
+        effort = _effort(row, unit, angle, targets, registers, pose, twist)
         k, c, given = row["stiffness"], row["damping"], 0.0
         if abs(effort) >= row["limit"]:
             k = c = 0.0
         if row["target"] >= 0:
             own = at + row["target"]
-            given = k * shifts[own, 0] + c * shifts[own, 1]
+            position, velocity = row["position_from"], row["velocity_from"]
+            given = k * (shifts[own, 0] if position < 0 else registers[position, 1])
+            given += c * (shifts[own, 1] if velocity < 0 else registers[velocity, 1])
         axis.add_change(row, unit, pose, twist, moves, rates, effort, k, c, given, wrench_out)

@@ -71,16 +71,17 @@ def registers_at(forces, time, angles):
     """Registers (m, 2) of the laws for a call of their kernels at a time in s; angles : see `count`."""
     registers = forces.laws.registers.copy()
     registers[0, 0] = time
-    registers[forces.laws.states[:, 0], 0] = angles[len(forces.counted) :]
+    states = forces.laws.states[:, 0]
+    registers[states, 0] = angles[len(angles) - len(states) :]
     return registers
 
 
 def count(forces):
-    """Number of unwrapped angles and, after them, states of laws that a run keeps."""
-    return len(forces.counted) + len(forces.laws.states)
+    """Number of unwrapped angles and, after them, held numbers of sampled laws and states that a run keeps."""
+    return len(forces.counted) + len(forces.laws.start)
 
 
-def make_forces(described, index, ends, counted, slides=()):
+def make_forces(described, index, ends, counted, slides=(), sensors=()):
     """Rows of the forces of a scene.
 
     described : the scene's forces
@@ -88,11 +89,14 @@ def make_forces(described, index, ends, counted, slides=()):
     ends      : {joint name: (parent's index, child's index, parent frame, child frame)}
     counted   : [(joint, force or coupling)] of `unwrapped`
     slides    : names of the joints whose coordinate is a displacement
+    sensors   : of the scene, which laws may read
     """
     angles = {name: i for i, (_, name) in enumerate(counted)}
-    targets = {servo.name: i for i, servo in enumerate(servos(described))}
+    targets, led = {servo.name: i for i, servo in enumerate(servos(described))}, law.target_registers(described)
     at_joints = [
-        joint_law.make_row(force, ends, angles.get(force.name, -1), targets.get(force.name, -1))
+        joint_law.make_row(
+            force, ends, angles.get(force.name, -1), targets.get(force.name, -1), led.get(force.name, (-1, -1))
+        )
         for force in joint_laws(described)
     ]
 
@@ -104,7 +108,9 @@ def make_forces(described, index, ends, counted, slides=()):
         spring_damper=rows(spring_damper, SpringDamper),
         joint_law=np.array(at_joints, dtype=joint_law.ROW),
         drag=rows(drag, Drag),
-        laws=law.make_laws(described, index, ends, {joint: i for i, (joint, _) in enumerate(counted)}, slides),
+        laws=law.make_laws(
+            described, index, ends, {joint: i for i, (joint, _) in enumerate(counted)}, slides, len(counted), sensors
+        ),
         counted=np.array([axis.fields(False, *ends[joint]) for joint, _ in counted], dtype=axis.ROW),
         exist=any(not isinstance(force, ConstantWrench) for force in described),
     )
@@ -120,8 +126,8 @@ def servos(described):
     return [force for force in joint_laws(described) if force.group == "servos"]
 
 
-def unwrapped(described, coupled=(), turning=()):
-    """[(joint, name of a force or coupling)] of each unwrapped angle.
+def unwrapped(described, coupled=(), turning=(), sensors=()):
+    """[(joint, name of a force or coupling)] of each unwrapped angle; sensors : of the scene, which laws may read.
 
     coupled : those of couplings and drives;  turning : names of the joints whose coordinate is an angle
     """
@@ -129,13 +135,18 @@ def unwrapped(described, coupled=(), turning=()):
     def named(kind):
         return [(force.joint, force.name) for force in described if force.type == kind]
 
-    return [*named("torsional_spring_damper"), *coupled, *named("servo"), *law.unwrapped_inputs(described, turning)]
+    by_laws = law.unwrapped_inputs(described, turning, sensors)
+    return [*named("torsional_spring_damper"), *coupled, *named("servo"), *by_laws]
 
 
 def target_values(forces):
-    """Target position and velocity (k, 2) of all servos without a command."""
+    """Target position and velocity (k, 2) of all servos without a command.
+
+    With sampled laws a last row has the time of their last instant: what was computed for another one is computed again
+    """
     rows = forces.joint_law[forces.joint_law["target"] >= 0]
-    return np.array(rows[["position", "velocity"]].tolist(), dtype=float).reshape(-1, 2)
+    targets = [*rows[["position", "velocity"]].tolist(), *([(0.0, 0.0)] if len(forces.laws.held) else [])]
+    return np.array(targets, dtype=float).reshape(-1, 2)
 
 
 @kernel
@@ -155,9 +166,10 @@ def add_wrenches(forces, angle, targets, registers, pose, twist, wrench_out):
 @shared
 def _add_wrenches(forces, angle, targets, registers, pose, twist, wrench_out):
     spring_damper.add_wrench(forces.spring_damper, pose, twist, wrench_out)
-    joint_law.add_wrench(forces.joint_law, angle, targets, pose, twist, wrench_out)
+    law.measure(forces.laws, angle, pose, twist, registers)
+    joint_law.add_wrench(forces.joint_law, angle, targets, registers, pose, twist, wrench_out)
     drag.add_wrench(forces.drag, twist, wrench_out)
-    law.add_wrench(forces.laws, angle, registers, pose, twist, wrench_out)
+    law.add_wrench(forces.laws, registers, pose, wrench_out)
     return 0
 
 
@@ -172,9 +184,10 @@ def add_changes(forces, angle, targets, registers, pose, twist, moves, rates, sh
     pose, twist, moves, rates = borrowed(pose), borrowed(twist), borrowed(moves), borrowed(rates)
     shifts, wrench_out = borrowed(shifts), borrowed(wrench_out)
     spring_damper.add_change(forces.spring_damper, pose, twist, moves, rates, wrench_out)
-    joint_law.add_change(forces.joint_law, angle, targets, pose, twist, moves, rates, shifts, at, wrench_out)
+    law.measure_changes(forces.laws, angle, pose, twist, moves, rates, registers)
+    joint_law.add_change(forces.joint_law, angle, targets, registers, pose, twist, moves, rates, shifts, at, wrench_out)
     drag.add_change(forces.drag, twist, rates, wrench_out)
-    law.add_change(forces.laws, angle, registers, pose, twist, moves, rates, wrench_out)
+    law.add_change(forces.laws, registers, pose, twist, moves, rates, wrench_out)
     return 0
 
 
@@ -186,28 +199,28 @@ def energy(forces, angle, pose):
 
 @kernel
 def powers(forces, angle, targets, registers, pose, twist):
-    """Powers of the non-conservative forces by POWERS, W."""
-    dampers, motors, servos = joint_law.powers(forces.joint_law, angle, targets, pose, twist)
+    """Powers of the non-conservative forces by POWERS, W; registers : after law.measure in this state."""
+    dampers, motors, servos = joint_law.powers(forces.joint_law, angle, targets, registers, pose, twist)
     return (
         spring_damper.power(forces.spring_damper, pose, twist) + dampers,
         motors,
         servos,
         drag.power(forces.drag, twist),
-        law.power(forces.laws, angle, registers, pose, twist),
+        law.power(forces.laws, registers, pose, twist),
     )
 
 
 @kernel
 def power(forces, angle, targets, registers, pose, twist):
-    """Power of the non-conservative forces, W: the rate of the mechanical energy."""
+    """Power of the non-conservative forces, W: the rate of the mechanical energy; arguments as for `powers`."""
     dampers, motors, servos, drags, by_laws = powers(forces, angle, targets, registers, pose, twist)
     return dampers + motors + servos + drags + by_laws
 
 
 @kernel
-def efforts(forces, angle, targets, pose, twist, out):
-    """Write the efforts of the joint laws, N m or N, to out (k,); arguments as for `add_wrenches`."""
-    joint_law.efforts(forces.joint_law, angle, targets, pose, twist, out)
+def efforts(forces, angle, targets, registers, pose, twist, out):
+    """Write the efforts of the joint laws, N m or N, to out (k,); arguments as for `powers`."""
+    joint_law.efforts(forces.joint_law, angle, targets, registers, pose, twist, out)
 
 
 @kernel

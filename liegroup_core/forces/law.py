@@ -1,22 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
 """Laws: efforts of joints and wrenches on bodies by formulas of the user, see formulas.py.
 
-Inputs are numbers of a state: coordinates and rates of joints, positions, attitudes and velocities of points of bodies,
-and signals of earlier laws. Signals are formulas of the time, inputs, parameters, tables and earlier signals. Outputs
-are formulas, too:
+Inputs are numbers of a state (readings.py): coordinates and rates of joints, positions, attitudes and velocities of
+points of bodies, numbers of sensors, and signals of earlier laws. Signals are formulas of the time, inputs, parameters,
+tables and earlier signals. Outputs are formulas, too:
 
     effort of a joint      torque about or force along its z axis on the child, the opposite on the parent (axis.py)
     wrench on a body       torque and force at a point of the body, in its axes or in world axes
+    target of a servo      position and velocity, in place of those of the servo (joint_law.py)
 
 States have a start and a rate, a formula that may use all signals. A state is the rate of a link of its own in the tree
 (mechanism/links.py), with unit inertia and the rate of the state as its effort: every method integrates it, with its
 order, error control and derivatives. After a step its value is kept behind the unwrapped angles.
 
-All laws of a scene are one program, evaluated once a stage. Its registers are memory of a run; the first is the time.
-Where a comparison, min, max, abs or table changes its branch is an event, which methods with error control locate
-(events/crossings.py); other methods take the branch of each stage.
+All laws of a scene are one program, evaluated once a stage. Its registers are memory of a run; the first is the time,
+the next ones say which number was not finite last. Where a comparison, min, max, abs or table changes its branch is an
+event, which methods with error control locate (events/crossings.py); other methods take the branch of each stage.
+
+A law with a period is evaluated at exact instants, by instructions of its own (sampled.py). Its signals and outputs are
+numbers that are held in between: they are kept behind the unwrapped angles, before the states.
 """
 
+import math
+from contextlib import nullcontext
+from itertools import chain
 from keyword import iskeyword
 from typing import Annotated, Literal, NamedTuple
 
@@ -25,13 +32,25 @@ from pydantic import BeforeValidator, Field, WithJsonSchema, model_validator
 
 from liegroup_core.compiling import Struct, kernel
 from liegroup_core.errors import SceneError
-from liegroup_core.fields.values import Described, Name, Number, Positive, Text, Vector3, listed, place_text, suggestion
+from liegroup_core.fields.values import (
+    Described,
+    Name,
+    NotNegative,
+    Number,
+    Positive,
+    Text,
+    Vector3,
+    listed,
+    place_text,
+    suggestion,
+)
 from liegroup_core.lie.so3 import so3_to_quaternion
-from liegroup_core.lie.vec3 import add3, cross3, dot3, load3, load9, tmatvec3, vector3
+from liegroup_core.lie.vec3 import add3, cross3, dot3, load3, load9, matmul3, matrix3, sub3, tmatvec3, vector3
 
 from . import axis
 from .described import Force
 from .formulas import (
+    BRANCHED,
     RESERVED,
     TABLE,
     TIME,
@@ -46,23 +65,23 @@ from .formulas import (
     present_branch,
     table_arrays,
 )
-from .points import point, point_velocity
+from .instants import exact_seconds
+from .points import point, point_velocity, turning
+from .readings import ATTITUDE, DISTANCE_RATE, PLACE, POINTS, POSITION, RATE, SPEED, SPIN, names_of, reading, varies
 
-POSITION, RATE, PLACE, ATTITUDE, SPIN, SPEED = range(6)  # what an input is
-# {part of a quantity of a body: (what, component)}
-OF_BODY = (
-    {name: (PLACE, k) for k, name in enumerate("xyz")}
-    | {f"q{name}": (ATTITUDE, k) for k, name in enumerate("xyzw")}
-    | {f"{what}{name}": (kind, k) for what, kind in (("w", SPIN), ("v", SPEED)) for k, name in enumerate("xyz")}
-)
-OF_JOINT = {"position": POSITION, "velocity": RATE}
 INPUT = np.dtype(
-    [
+    [  # see readings.Reading
         ("what", "i8"),
         ("component", "i8"),
         ("to", "i8"),  # register
         ("body", "i8"),
-        ("point", "f8", (3,)),  # m, in the frame of the body
+        ("other", "i8"),
+        ("point", "f8", (3,)),
+        ("other_point", "f8", (3,)),
+        ("axes", "f8", (9,)),
+        ("direction", "f8", (3,)),
+        ("offset", "f8"),
+        ("resolution", "f8"),
         ("angle", "i8"),  # index of the unwrapped angle, or -1
         *axis.FIELDS,
     ],
@@ -79,6 +98,9 @@ OUTPUT = np.dtype(
     align=True,
 )
 ORIGIN = (0.0, 0.0, 0.0)
+WITNESS = 1  # register of the last result that was not finite: its number from 1 on, and the time
+CAUSE = 2  # the next one: number of the first signal that was not finite then, 0 for none, and the value of the result
+MOST_PERIODS = 1000  # of a delay
 NO_AXIS = axis.fields(False, -1, -1, np.eye(4), np.eye(4))
 
 
@@ -91,8 +113,14 @@ class Laws(Struct):
     tables: np.ndarray  # (t + 1,) first points of the tables
     points: np.ndarray  # (n, 2) their points
     outputs: np.ndarray  # (o,) of OUTPUT
+    results: np.ndarray  # (r,) registers of outputs and of rates of states, of all continuous laws
+    signals: np.ndarray  # (w,) registers of their signals
     states: np.ndarray  # (s, 2) registers of the value and of the rate of each state
-    start: np.ndarray  # (s,) values at the start
+    held: np.ndarray  # (h,) registers of the numbers of sampled laws, which follow the unwrapped angles, or -1
+    first: int  # number of unwrapped angles
+    sampled_inputs: np.ndarray  # of INPUT, of one sampled law after another
+    sampled_code: np.ndarray  # (q, 5) instructions, as many
+    start: np.ndarray  # (h + s,) held numbers and states at the start
     scales: np.ndarray  # (s,) magnitudes, to which the absolute tolerance of error control refers
     registers: np.ndarray  # (m, 2) at the start: value, derivative
     timed: bool  # whether any depends on the time
@@ -125,9 +153,16 @@ def _rising(values):
     return values
 
 
+def _period(value):
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.floating)) or not 1e-9 <= value <= 1e9:
+        raise ValueError("must be a number of seconds from 1e-9 to 1e9")
+    return float(value)
+
+
 Formula = Annotated[str, BeforeValidator(_formula), WithJsonSchema({"type": ["string", "number"]})]
 Formulas = Annotated[tuple[Formula, Formula, Formula], BeforeValidator(_three)]
 Numbers = Annotated[tuple[Number, ...], BeforeValidator(listed)]
+Period = Annotated[float, BeforeValidator(_period), WithJsonSchema({"type": "number", "exclusiveMinimum": 0})]
 
 
 class LawInput(Described):
@@ -135,7 +170,8 @@ class LawInput(Described):
 
     quantity: Text = Field(
         description="JOINT.position or JOINT.velocity of a joint with one coordinate; BODY.x y z (world axes), "
-        "qx qy qz qw, wx wy wz or vx vy vz (body axes) of a body; LAW.SIGNAL or LAW.STATE of an earlier law"
+        "qx qy qz qw, wx wy wz or vx vy vz (body axes) of a body; SENSOR.0 .. of a sensor, but no accelerations and "
+        "wrenches, and only with a period if it has noise or a resolution; LAW.SIGNAL or LAW.STATE of an earlier law"
     )
     point: Vector3 | None = Field(
         None, description="point of the body in m, in its frame, for its x y z vx vy vz; default: its origin"
@@ -160,15 +196,20 @@ class LawTable(Described):
 
 
 class LawState(Described):
-    """Number that changes by its rate."""
+    """Number that changes by its rate, or at the instants of a sampled law."""
 
-    rate: Formula = Field(description="formula of its derivative by time, which may use all inputs, signals and states")
+    rate: Formula | None = Field(
+        None, description="formula of its derivative by time, which may use all inputs, signals and states"
+    )
+    update: Formula | None = Field(
+        None, description="of a law with a period, in place of rate: formula of its value after each instant"
+    )
     start: Number = Field(0.0, description="value at the start")
     scale: Positive = Field(1.0, description="magnitude that counts as 1 in the tolerances of error control")
 
 
 class LawOutput(Described):
-    """What a law exerts: the effort of a joint, or a wrench on a body."""
+    """What a law exerts: the effort of a joint, a wrench on a body, or the target of a servo."""
 
     joint: Text | None = Field(None, description="name of a joint with one coordinate")
     effort: Formula | None = Field(None, description="formula of its torque in N m or force in N on the child")
@@ -177,24 +218,27 @@ class LawOutput(Described):
     force: Formulas = Field(("0", "0", "0"), description="three formulas, N")
     point: Vector3 = Field((0.0, 0.0, 0.0), description="point of application in m, in the body frame")
     axes: Literal["body", "world"] = Field("body", description="axes of torque and force: body or world")
+    servo: Text | None = Field(None, description="name of a servo or linear_servo, in place of joint and effort")
+    position: Formula | None = Field(None, description="formula of its target position in rad or m; default: its own")
+    velocity: Formula | None = Field(None, description="formula of its target velocity; default: its own")
 
     @model_validator(mode="after")
     def _check(self):
-        if (
-            (self.joint is None) == (self.body is None)
-            or self.joint
-            and not {"torque", "force"}.isdisjoint(self.model_fields_set)
-        ):
-            raise SceneError("give either joint and effort, or body with torque and force")
-        if (self.effort is None) != (self.joint is None):
-            raise SceneError("effort belongs to joint: give both", place=("effort",))
+        owners = {"joint": {"effort"}, "body": {"torque", "force", "point", "axes"}, "servo": {"position", "velocity"}}
+        given = [owner for owner in owners if getattr(self, owner) is not None]
+        if len(given) != 1 or self.model_fields_set - owners[given[0]] - {given[0]}:
+            raise SceneError("give either joint and effort, or body with torque and force, or servo with position")
+        if self.servo is not None and (self.position, self.velocity) == (None, None):
+            raise SceneError("position or velocity is missing", place=("position",))
+        if self.joint is not None and self.effort is None:
+            raise SceneError("effort is missing", place=("effort",))
         return self
 
     @property
     def formulas(self):
-        """[(key, formula)]: one, or six."""
+        """[(key, formula)]: one or two, or six."""
         if self.body is None:
-            return [("effort", self.effort)]
+            return [(key, text) for key in ("effort", "position", "velocity") if (text := getattr(self, key))]
         return [(key, text) for key in ("torque", "force") for text in getattr(self, key)]
 
 
@@ -202,6 +246,14 @@ class Law(Force):
     """Efforts and wrenches by formulas."""
 
     type: Literal["law"] = Field("law", description="law")
+    period: Period | None = Field(
+        None,
+        description="s: it reads its inputs at 0 and all multiples of the period, and holds its signals and outputs "
+        "in between; default: continuous",
+    )
+    delay: NotNegative = Field(
+        0.0, description=f"s, of a law with a period, at most {MOST_PERIODS} of them: its outputs act so much later"
+    )
     inputs: dict[Name, Annotated[LawInput, BeforeValidator(_quantity)]] = Field(
         {}, description="{name: quantity} that its formulas use"
     )
@@ -227,6 +279,16 @@ class Law(Force):
                         f"{key}: {name} is also one of its {known[name]}: choose another", place=(key, name)
                     )
                 known[name] = key
+        wanted, other = ("rate", "update") if self.period is None else ("update", "rate")
+        for name, each in self.states.items():
+            place = ("states", name, wanted)
+            if getattr(each, other) is not None:
+                kind = "a law without a period" if self.period is None else "a law with a period"
+                raise SceneError(f"states.{name}.{other}: {kind} has {wanted} in its place", place=place[:2] + (other,))
+            if getattr(each, wanted) is None:
+                raise SceneError(f"states.{name}: {wanted} is missing", place=place)
+        if self.delay and (self.period is None or self.delay > MOST_PERIODS * self.period):
+            raise SceneError(f"delay requires a period, at least {self.delay / MOST_PERIODS:g} s", place=("delay",))
         if not (self.signals or self.states or self.outputs):
             raise SceneError("outputs is missing: a law exerts efforts or wrenches, or has signals", place=("outputs",))
         try:
@@ -247,27 +309,44 @@ class Law(Force):
         names = {TIME: 0} | inputs | states
         names |= {name: program.new(value) for name, value in self.parameters.items()}
         tables = {name: program.table(each.x, each.y) for name, each in self.tables.items()}
-        signals = {}
-        for name, text in self.signals.items():
-            signals[name] = names[name] = _compiled(program, text, names, tables, ("signals", name))
-        outputs = [
-            [_compiled(program, text, names, tables, ("outputs", k, key)) for key, text in each.formulas]
-            for k, each in enumerate(self.outputs)
-        ]
-        rates = [_compiled(program, each.rate, names, tables, ("states", k, "rate")) for k, each in self.states.items()]
-        return _Compiled(inputs, states, rates, signals, outputs)
+        signals, key = {}, "rate" if self.period is None else "update"
+        with nullcontext() if self.period is None else program.apart() as code:
+            for name, text in self.signals.items():
+                signals[name] = names[name] = _compiled(program, text, names, tables, ("signals", name))
+            outputs = [
+                [_compiled(program, text, names, tables, ("outputs", k, key)) for key, text in each.formulas]
+                for k, each in enumerate(self.outputs)
+            ]
+            rates = [
+                _compiled(program, getattr(each, key), names, tables, ("states", name, key))
+                for name, each in self.states.items()
+            ]
+        if self.period is None:
+            return _Compiled(inputs, states, rates, signals, outputs)
+        found = [*rates, *signals.values(), *chain(*outputs)]
+        signals = {name: program.new() for name in signals}
+        outputs = [[program.new() for _ in each] for each in outputs]
+        held = [*states.values(), *signals.values(), *chain(*outputs)]
+        return _Compiled(inputs, states, (), signals, outputs, Held(found, held, code, self._names_held()))
+
+    def _names_held(self):
+        """Names of the numbers that the law holds: states, signals, outputs."""
+        outputs = [f"outputs[{k}].{key}" for k, each in enumerate(self.outputs) for key in numbered(each.formulas)]
+        return [*self.states, *self.signals, *outputs]
 
     @property
     def uses_time(self):
-        """Whether a formula has the time."""
+        """Whether a formula that is evaluated at any time has the time."""
+        if self.period is not None:
+            return False
         texts = [*self.signals.values(), *(each.rate for each in self.states.values())]
         texts += [text for each in self.outputs for _, text in each.formulas]
         return any(TIME in names_in(text) for text in texts)
 
     def on_bodies(self, child_of):
-        """Names of the bodies that it reads or acts on, of joints the child, and of laws; child_of : {joint: body}."""
+        """Names of the bodies that it reads or acts on, and of laws; child_of : {joint, servo or sensor: body}."""
         found = [each.quantity.rpartition(".")[0] for each in self.inputs.values()]
-        found += [each.joint or each.body for each in self.outputs]
+        found += [each.joint or each.body or each.servo for each in self.outputs]
         return sorted({child_of.get(name, name) for name in found})
 
     def at_centres(self, com):
@@ -279,13 +358,22 @@ class Law(Force):
         inputs = {}
         for name, each in self.inputs.items():
             owner, _, part = each.quantity.rpartition(".")
-            inputs[name] = moved(each, owner, _has_point(part))
+            inputs[name] = moved(each, owner, part in POINTS)
         return {"inputs": inputs, "outputs": [moved(each, each.body) for each in self.outputs]}
 
 
-def _has_point(part):
-    """Whether a quantity of a body with this part is one of a point of the body."""
-    return OF_BODY.get(part, (None,))[0] in (PLACE, SPEED)
+def numbered(formulas):
+    """Keys of the formulas of an output, with a number where a key has three."""
+    return [key if len(formulas) < 6 else f"{key}[{n % 3}]" for n, (key, _) in enumerate(formulas)]
+
+
+class Held(NamedTuple):
+    """What a sampled law computes and holds."""
+
+    found: list  # registers of the results of its instructions: states after the instant, signals, outputs
+    held: list  # registers that hold them
+    code: list  # instructions
+    names: list
 
 
 class _Compiled(NamedTuple):
@@ -296,6 +384,7 @@ class _Compiled(NamedTuple):
     rates: list
     signals: dict
     outputs: list
+    sampled: Held | None = None
 
     @property
     def shown(self):
@@ -316,14 +405,14 @@ def _compiled(program, text, names, tables, place):
         raise _Misplaced(f"{place_text(place, {})}: {error}", place) from None
 
 
-def refuse_law(law, bodies, moves, earlier, i):
-    """Refuse a law whose quantities, joints or bodies do not exist.
+def refuse_law(law, bodies, moves, earlier, sensors, servos, i):
+    """Refuse a law whose quantities, joints, bodies or servos do not exist.
 
-    bodies : names;  moves : names of the joints with one coordinate;  earlier : [LAW.SIGNAL]
+    bodies : names;  moves : names of the joints with one coordinate;  earlier : [LAW.SIGNAL];  sensors : of the scene
+    servos : names of those that no earlier law leads
     """
     where = f'forces[{i}] "{law.name}": '
-    known = [f"{joint}.{part}" for joint in moves for part in OF_JOINT]
-    known += [f"{body}.{part}" for body in bodies for part in OF_BODY] + list(earlier)
+    known, named = [*names_of(bodies, moves, sensors), *earlier], {each.name: each for each in sensors}
     for name, each in law.inputs.items():
         place = ("forces", i, "inputs", name)
         if each.quantity not in known:
@@ -332,10 +421,15 @@ def refuse_law(law, bodies, moves, earlier, i):
                 f"{where}inputs.{name}: {each.quantity!r:.60} is no quantity of a law; {hint}", place=place
             )
         owner, _, part = each.quantity.rpartition(".")
-        if each.point is not None and not (owner in bodies and _has_point(part)):
+        if owner in named and law.period is None and varies(named[owner], int(part)):
+            raise SceneError(
+                f"{where}inputs.{name}: {each.quantity} has noise or a resolution: give the law a period", place=place
+            )
+        if each.point is not None and not (owner in bodies and part in POINTS):
             raise SceneError(f"{where}inputs.{name}: {each.quantity} has no point: omit it", place=place)
     for k, each in enumerate(law.outputs):
-        for key, names, what in (("joint", moves, "joint with one coordinate"), ("body", bodies, "body")):
+        kinds = ("joint", moves, "joint with one coordinate"), ("body", bodies, "body"), ("servo", servos, "servo")
+        for key, names, what in kinds:
             name = getattr(each, key)
             if name is not None and name not in names:
                 hint = suggestion(name, list(names)) if names else f"the scene has no {what}"
@@ -350,12 +444,13 @@ def laws_of(described):
     return [force for force in described if force.type == "law"]
 
 
-def unwrapped_inputs(described, turning):
+def unwrapped_inputs(described, turning, sensors=()):
     """[(joint, name)] of the unwrapped angles of laws; turning : names of joints whose coordinate is an angle."""
-    found = {}
+    found, encoders = {}, {each.name: each.joint for each in sensors if each.type == "encoder"}
     for law in laws_of(described):
         for each in law.inputs.values():
             joint, _, part = each.quantity.rpartition(".")
+            joint, part = (encoders[joint], "position") if joint in encoders else (joint, part)
             if part == "position" and joint in turning:
                 found[joint] = f"{law.name} at {joint}"
     return list(found.items())
@@ -368,6 +463,7 @@ def signals_of(described):
 
 def _compile_all(described):
     program, signals, found = Program(), {}, []
+    program.new(), program.new()  # WITNESS, CAUSE
     for law in laws_of(described):
         found.append((law, law.compile(program, signals)))
         program.owners += [law.name] * (len(program.code) - len(program.owners))
@@ -380,49 +476,166 @@ def owners_of_kinks(described, kinks):
     return [_compile_all(described)[0].owners[i] for i in kinks]
 
 
+def target_registers(described):
+    """{servo: [register of its target position or -1, of its target velocity or -1]} of the servos that laws lead."""
+    found = {}
+    for law, compiled in _compile_all(described)[2]:
+        for each, own in zip(law.outputs, compiled.outputs):
+            if each.servo is not None:
+                places = dict(zip((key for key, _ in each.formulas), own))
+                found[each.servo] = [places.get(key, -1) for key in ("position", "velocity")]
+    return found
+
+
+def leaders(described):
+    """{servo: law} of the servos whose target is an output of a law."""
+    return {each.servo: law.name for law in laws_of(described) for each in law.outputs if each.servo is not None}
+
+
+def results_of(described):
+    """([(law, number)] of outputs and rates, the same of signals) of continuous laws, as Laws.results and signals."""
+    results, signals = [], []
+    for law in laws_of(described):
+        if law.period is None:
+            names = law._names_held()
+            first = len(law.states) + len(law.signals)
+            results += [(law.name, name) for name in names[first:]]
+            results += [(law.name, f"states.{name}.rate") for name in law.states]
+            signals += [(law.name, f"signals.{name}") for name in law.signals]
+    return results, signals
+
+
+def undefined_text(law, name, value, time, cause=""):
+    """One line on a number of a law that is not finite; cause : the signal that was not finite."""
+    because = f", because its signal {cause} is not finite" if cause else ""
+    return f"the law {law} gives {name} = {value:g} at t = {time:.9g} s{because}: change its formula"
+
+
+def undefined_of(described, registers):
+    """(time in s, text) of the result of a law that was not finite last, or None."""
+    number = int(registers[WITNESS, 0])
+    if number == 0:
+        return None
+    results, signals = results_of(described)
+    (law, name), cause, time = results[number - 1], int(registers[CAUSE, 0]), float(registers[WITNESS, 1])
+    signal = signals[cause - 1] if cause else ("", "")
+    known = signal[1].removeprefix("signals.") if signal[0] == law else ""
+    return time, undefined_text(law, name, registers[CAUSE, 1], time, known)
+
+
 def states_of(described):
-    """[(LAW.STATE, LawState)] of a scene, in order."""
-    return [(f"{law.name}.{name}", each) for law in laws_of(described) for name, each in law.states.items()]
+    """[(LAW.STATE, LawState)] of the continuous laws of a scene, in order."""
+    laws = [law for law in laws_of(described) if law.period is None]
+    return [(f"{law.name}.{name}", each) for law in laws for name, each in law.states.items()]
 
 
-def make_laws(described, index, ends, angles, slides):
-    """Laws of the forces of a scene.
+class SampledLaw(NamedTuple):
+    """A law with a period, and where its numbers are."""
 
-    index, ends : see kinds.make_forces;  angles : {joint: index of its unwrapped angle}
+    law: Law
+    first: int  # of its numbers, among all held ones: states, signals, outputs, then delayed outputs, the oldest first
+    inputs: slice  # of Laws.sampled_inputs
+    code: slice  # of Laws.sampled_code
+    found: np.ndarray  # registers of what its instructions compute: states after the instant, signals, outputs
+    outputs: int  # number of numbers of its outputs, the last ones
+    delayed: int  # number of sets of outputs that wait
+    noisy: list  # [(register, sensor, number)] of its inputs that may have noise
+
+    @property
+    def names(self):
+        """Names of its held numbers."""
+        own = self.law._names_held()
+        last = own[len(own) - self.outputs :]
+        own += [f"{name} delayed {k + 1}" for k in range(self.delayed) for name in last]
+        return [f"{self.law.name}.{name}" for name in own]
+
+
+def sampled_laws(described, sensors=()):
+    """[SampledLaw] of a scene, in order; sensors : of the scene."""
+    found, first, inputs, code, signals = [], 0, 0, 0, set()
+    sensors = {each.name: each for each in sensors}
+    for law, compiled in _compile_all(described)[2]:
+        own = sum(each.quantity not in signals for each in law.inputs.values())
+        signals |= {f"{law.name}.{name}" for name in compiled.shown}
+        if law.period is None:
+            continue
+        sampled, delayed = compiled.sampled, math.ceil(exact_seconds(law.delay) / exact_seconds(law.period))
+        outputs = sum(map(len, compiled.outputs))
+        parts = slice(inputs, inputs + own), slice(code, code + len(sampled.code))
+        noisy = []
+        for name, each in law.inputs.items():
+            owner, _, part = each.quantity.rpartition(".")
+            if owner in sensors and hasattr(sensors[owner], "noise_at"):
+                noisy.append((compiled.inputs[name], sensors[owner], int(part)))
+        registers = np.array(sampled.found, dtype=np.int64)
+        found.append(SampledLaw(law, first, *parts, registers, outputs, delayed, noisy))
+        first += len(sampled.held) + delayed * outputs
+        inputs, code = inputs + own, code + len(sampled.code)
+    return found
+
+
+def held_of(described):
+    """Names of the numbers that the sampled laws of a scene hold, as they follow the unwrapped angles."""
+    return [name for each in sampled_laws(described) for name in each.names]
+
+
+def make_laws(described, index, ends, angles, slides, first, sensors=()):
+    """Laws of the forces of a scene, with its sensors.
+
+    index, ends : see kinds.make_forces;  angles : {joint: index of its unwrapped angle};  first : number of these
     slides : names of the joints whose coordinate is a displacement
     """
     program, signals, found = _compile_all(described)
-    inputs, outputs, states = [], [], []
+    outputs, states, held, start, sampled_code, results, shown = [], [], [], [], [], [], []
+    reads = {False: [], True: []}  # of continuous laws, and of sampled ones
+    waiting = iter(sampled_laws(described))
+    sensors = {each.name: each for each in sensors}
     for law, compiled in found:
-        states += zip(compiled.states.values(), compiled.rates)
+        inputs = reads[law.period is not None]
+        if law.period is None:
+            states += zip(compiled.states.values(), compiled.rates)
+            results += [*chain(*compiled.outputs), *compiled.rates]
+            shown += compiled.signals.values()
+        else:
+            own, late = compiled.sampled, next(waiting)
+            later = late.delayed * late.outputs
+            held += own.held + [-1] * later
+            start += [each.start for each in law.states.values()] + [0.0] * (len(own.held) - len(law.states) + later)
+            sampled_code += own.code
         for name, each in law.inputs.items():
             if each.quantity in signals:
                 continue
-            owner, _, part = each.quantity.rpartition(".")
-            if owner in ends and part in OF_JOINT:
-                motion = axis.fields(owner in slides, *ends[owner])
-                inputs.append((OF_JOINT[part], 0, compiled.inputs[name], -1, ORIGIN, angles.get(owner, -1), *motion))
-            else:
-                inputs.append((*OF_BODY[part], compiled.inputs[name], index[owner], each.point or ORIGIN, -1, *NO_AXIS))
+            found = reading(each.quantity, ends, sensors, each.point)
+            bodies = [index[body] if body else -1 for body in (found.body, found.other)]
+            where = found.point, found.other_point, np.ravel(found.axes), found.direction
+            motion = axis.fields(found.joint in slides, *ends[found.joint]) if found.joint else NO_AXIS
+            row = found.what, found.component, compiled.inputs[name], *bodies, *where
+            inputs.append((*row, found.offset, found.resolution, angles.get(found.joint, -1), *motion))
         for each, own in zip(law.outputs, compiled.outputs):
-            if each.body is None:
+            if each.joint is not None:
                 motion = axis.fields(each.joint in slides, *ends[each.joint])
                 outputs.append((-1, own * 6, 0, each.point, *motion))
-            else:
+            elif each.body is not None:
                 outputs.append((index[each.body], own, each.axes == "world", each.point, *NO_AXIS))
     begins, points = table_arrays(program.tables)
     registers = np.zeros((len(program.registers), 2))
     registers[:, 0] = program.registers
-    varying = [0, *(each[2] for each in inputs), *(value for value, _ in states)]
+    inputs, sampled_inputs = (np.array(rows, dtype=INPUT) for rows in reads.values())
     return Laws(
-        inputs=np.array(inputs, dtype=INPUT),
+        inputs=inputs,
         code=np.array(program.code, dtype=np.int64).reshape(-1, 5),
-        kinks=np.array(program.branched(varying), dtype=np.int64),
+        kinks=np.array([i for i, each in enumerate(program.code) if each[0] in BRANCHED], dtype=np.int64),
         tables=begins,
         points=points,
         outputs=np.array(outputs, dtype=OUTPUT),
+        results=np.array(results, dtype=np.int64),
+        signals=np.array(shown, dtype=np.int64),
         states=np.array(states, dtype=np.int64).reshape(-1, 2),
-        start=np.array([each.start for _, each in states_of(described)]),
+        held=np.array(held, dtype=np.int64),
+        first=first,
+        sampled_inputs=sampled_inputs,
+        sampled_code=np.array(sampled_code, dtype=np.int64).reshape(-1, 5),
+        start=np.array([*start, *(each.start for _, each in states_of(described))], dtype=float),
         scales=np.array([each.scale for _, each in states_of(described)]),
         registers=registers,
         timed=any(law.uses_time for law in laws_of(described)),
@@ -448,6 +661,39 @@ def _velocity(row, twist):
 
 
 @kernel
+def _apart(row, pose):
+    """Vector from the point of the parent to that of the child, world axes, and its length."""
+    begin = point(pose, row["body"], vector3(row["point"]))
+    apart = sub3(point(pose, row["other"], vector3(row["other_point"])), begin)
+    return apart, math.sqrt(dot3(apart, apart))
+
+
+@kernel
+def _apart_rate(row, pose, twist):
+    """Rate of this vector; for moves in place of the twist, its displacement."""
+    begin = point_velocity(pose, twist, row["body"], vector3(row["point"]))
+    return sub3(point_velocity(pose, twist, row["other"], vector3(row["other_point"])), begin)
+
+
+@kernel
+def _point_change(row, pose, twist, moves, rates, is_child):
+    """Change of the velocity of the point of the child or parent along displacements, world axes."""
+    body, place = row["body"], vector3(row["point"])
+    if is_child:
+        body, place = row["other"], vector3(row["other_point"])
+    return add3(
+        point_velocity(pose, rates, body, place),
+        cross3(turning(pose, moves, body), point_velocity(pose, twist, body, place)),
+    )
+
+
+@kernel
+def _over(a, length):
+    """Quotient by a length; NaN for zero."""
+    return a / length if length > 0.0 else math.nan
+
+
+@kernel
 def _turned(q, turn, k):
     """Component k of the derivative of a quaternion (x, y, z, w) along a rotation vector in body axes."""
     x, y, z, w = q
@@ -462,10 +708,18 @@ def _turned(q, turn, k):
 
 @kernel
 def _read(laws, angle, pose, twist, registers):
-    """Write the values of all inputs to their registers."""
-    for e in range(len(laws.inputs)):
-        row = laws.inputs[e]
-        what, k, body, value = row["what"], row["component"], row["body"], 0.0
+    """Write the values of all inputs to their registers, and the numbers that are held."""
+    for j in range(len(laws.held)):
+        if laws.held[j] >= 0:
+            registers[laws.held[j], 0] = angle[laws.first + j]
+    _read_inputs(laws.inputs, angle, pose, twist, registers)
+
+
+@kernel
+def _read_inputs(inputs, angle, pose, twist, registers):
+    for e in range(len(inputs)):
+        row = inputs[e]
+        what, k, body, value = row["what"], row["component"], row["body"], row["offset"]
         if what == POSITION:
             value = axis.coordinate(row, pose, angle[row["angle"]] if row["angle"] >= 0 else 0.0)
         elif what == RATE:
@@ -473,11 +727,18 @@ def _read(laws, angle, pose, twist, registers):
         elif what == PLACE:
             value = point(pose, body, vector3(row["point"]))[k]
         elif what == ATTITUDE:
-            value = so3_to_quaternion(load9(pose, body, 0))[k]
+            value = so3_to_quaternion(matmul3(load9(pose, body, 0), matrix3(row["axes"])))[k]
         elif what == SPIN:
-            value = twist[body, k]
+            value += dot3(vector3(row["direction"]), load3(twist, body, 0))
+        elif what == SPEED:
+            value += dot3(vector3(row["direction"]), _velocity(row, twist))
         else:
-            value = _velocity(row, twist)[k]
+            apart, length = _apart(row, pose)
+            value = length
+            if what == DISTANCE_RATE:
+                value = _over(dot3(apart, _apart_rate(row, pose, twist)), length)
+        if row["resolution"] > 0.0:
+            value = row["resolution"] * math.floor(value / row["resolution"])
         registers[row["to"], 0] = value
 
 
@@ -495,11 +756,25 @@ def _read_changes(laws, pose, twist, moves, rates, registers):
         elif what == PLACE:
             value = point_velocity(pose, moves, body, vector3(row["point"]))[k]
         elif what == ATTITUDE:
-            value = _turned(so3_to_quaternion(load9(pose, body, 0)), load3(moves, body, 0), k)
+            axes = matrix3(row["axes"])
+            q = so3_to_quaternion(matmul3(load9(pose, body, 0), axes))
+            value = _turned(q, tmatvec3(axes, load3(moves, body, 0)), k)
         elif what == SPIN:
-            value = rates[body, k]
+            value = dot3(vector3(row["direction"]), load3(rates, body, 0))
+        elif what == SPEED:
+            value = dot3(vector3(row["direction"]), _velocity(row, rates))
         else:
-            value = _velocity(row, rates)[k]
+            apart, length = _apart(row, pose)
+            moved = _apart_rate(row, pose, moves)
+            if length > 0.0:
+                value = dot3(apart, moved) / length
+                if what == DISTANCE_RATE:
+                    rate = _apart_rate(row, pose, twist)
+                    change = sub3(
+                        _point_change(row, pose, twist, moves, rates, True),
+                        _point_change(row, pose, twist, moves, rates, False),
+                    )
+                    value = (dot3(moved, rate) + dot3(apart, change) - value * dot3(apart, rate) / length) / length
         registers[row["to"], 1] = value
         changes = changes or value != 0.0
     return changes
@@ -578,22 +853,60 @@ def _open_branches(laws, registers, column):
 
 @kernel
 def measure(laws, angle, pose, twist, registers):
-    """Compute all registers (m, 2) in a state; those of the time, the first one, and of states are given."""
+    """Compute all registers (m, 2) in a state; those of the time, the first one, and of states are given.
+
+    angle : (k,) rad, all unwrapped angles after the last step, and what sampled laws hold
+    """
     _read(laws, angle, pose, twist, registers)
     evaluate(laws.code, laws.tables, laws.points, registers)
     if _open_branches(laws, registers, 0):
         evaluate(laws.code, laws.tables, laws.points, registers)
+    _note_undefined(laws, registers)
 
 
 @kernel
-def add_wrench(laws, angle, registers, pose, twist, wrench_out):
-    """Add the wrenches of all laws.
-
-    angle : (k,) rad, all unwrapped angles after the last step;  registers : see `measure`
-    """
-    if len(laws.outputs) == 0 and len(laws.states) == 0:
+def _note_undefined(laws, registers):
+    """Note the first result that is not finite, where all inputs and states are."""
+    total = 0.0
+    for j in range(len(laws.results)):
+        total += 0.0 * registers[laws.results[j], 0]
+    if total == 0.0:
         return
+    for e in range(len(laws.inputs)):
+        total = registers[laws.inputs[e]["to"], 0]
+        if total - total != 0.0:
+            return
+    for s in range(len(laws.states)):
+        total = registers[laws.states[s, 0], 0]
+        if total - total != 0.0:
+            return
+    for j in range(len(laws.results) - 1, -1, -1):
+        total = registers[laws.results[j], 0]
+        if total - total != 0.0:
+            registers[WITNESS, 0], registers[WITNESS, 1], registers[CAUSE, 1] = j + 1.0, registers[0, 0], total
+    registers[CAUSE, 0] = 0.0
+    for j in range(len(laws.signals) - 1, -1, -1):
+        total = registers[laws.signals[j], 0]
+        if total - total != 0.0:
+            registers[CAUSE, 0] = j + 1.0
+
+
+@kernel
+def read(laws, inputs, angle, pose, twist, registers):
+    """As `measure`, then write the values of the inputs of a sampled law."""
     measure(laws, angle, pose, twist, registers)
+    _read_inputs(inputs, angle, pose, twist, registers)
+
+
+@kernel
+def compute(laws, code, registers):
+    """Execute the instructions of a sampled law."""
+    evaluate(code, laws.tables, laws.points, registers)
+
+
+@kernel
+def add_wrench(laws, registers, pose, wrench_out):
+    """Add the wrenches of all laws; registers : after `measure` in this state."""
     for e in range(len(laws.outputs)):
         row = laws.outputs[e]
         if row["body"] < 0:
@@ -605,12 +918,9 @@ def add_wrench(laws, angle, registers, pose, twist, wrench_out):
 
 
 @kernel
-def power(laws, angle, registers, pose, twist):
-    """Power of all laws, W."""
+def power(laws, registers, pose, twist):
+    """Power of all laws, W; registers : after `measure` in this state."""
     total = 0.0
-    if len(laws.outputs) == 0:
-        return total
-    measure(laws, angle, pose, twist, registers)
     for e in range(len(laws.outputs)):
         row = laws.outputs[e]
         if row["body"] < 0:
@@ -624,15 +934,18 @@ def power(laws, angle, registers, pose, twist):
 
 
 @kernel
-def add_change(laws, angle, registers, pose, twist, moves, rates, wrench_out):
-    """Add the changes of the wrenches along displacements, see kinds.add_changes."""
-    if len(laws.outputs) == 0 and len(laws.states) == 0:
-        return
+def measure_changes(laws, angle, pose, twist, moves, rates, registers):
+    """As `measure`, also the derivatives along displacements, see kinds.add_changes."""
     _read(laws, angle, pose, twist, registers)
     _read_changes(laws, pose, twist, moves, rates, registers)
     differentiate(laws.code, laws.tables, laws.points, registers)
     if _open_branches(laws, registers, 1):
         differentiate(laws.code, laws.tables, laws.points, registers)
+
+
+@kernel
+def add_change(laws, registers, pose, twist, moves, rates, wrench_out):
+    """Add the changes of the wrenches along displacements; registers : after `measure_changes` along them."""
     for e in range(len(laws.outputs)):
         row = laws.outputs[e]
         body = row["body"]

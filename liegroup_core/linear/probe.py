@@ -26,7 +26,8 @@ from liegroup_core.dynamics.state import leave
 from liegroup_core.dynamics.switches import MOVES, modes_of, set_modes, set_rates
 from liegroup_core.dynamics.trees import move_links
 from liegroup_core.engine import METHOD, Engine
-from liegroup_core.errors import SimulationError
+from liegroup_core.errors import SceneError, SimulationError
+from liegroup_core.forces.law import laws_of
 from liegroup_core.joints.stops import SLIDE, TURN
 from liegroup_core.methods.munthe_kaas import steps
 from liegroup_core.methods.munthe_kaas.explicit import make_scheme
@@ -154,6 +155,16 @@ def _equations(model, work, pose, twist, external, own_pose, own_twist, out):
     return OK
 
 
+def refuse_sampled(described):
+    """Raise SceneError for forces of a scene with a sampled law: a state has no derivatives by what was held before."""
+    for law in laws_of(described):
+        if law.period is not None:
+            raise SceneError(
+                f"the law {law.name} has a period: linear systems, trim, sensitivities, inverse dynamics and identify "
+                "need laws without one; remove period, delay and update"
+            )
+
+
 class _Still(Engine):
     """Engine that takes no step: kernels of steps and samples are not needed."""
 
@@ -170,11 +181,12 @@ class Probe:
     acting     : Acting
     base       : Sample of the state
     layout     : Layout of the simulation
-    Raises SimulationError where the accelerations of the state cannot be computed.
+    Raises SimulationError where the accelerations of the state cannot be computed, SceneError for sampled laws.
     """
 
     def __init__(self, simulation, time=None, in_space=False):
         self.layout = simulation.layout.in_space if in_space else simulation.layout
+        refuse_sampled(simulation.scene.forces)
         engine = _Still(simulation.scene, METHOD, simulation.step, RELATIVE, "none", quiet=True, layout=self.layout)
         self._engine = engine
         engine.start_from(simulation)

@@ -97,7 +97,7 @@ def _forces(scene, index, frames):
     """Forces of the scene as rows of every kind."""
     ends = {joint.name: (index[joint.parent], index[joint.child], *pair) for joint, pair in zip(scene.joints, frames)}
     slides = {joint.name for joint in scene.joints if TYPES[joint.type].coordinate == "m"}
-    return make_forces(scene.forces, index, ends, scene.unwrapped, slides)
+    return make_forces(scene.forces, index, ends, scene.unwrapped, slides, scene.sensors)
 
 
 def refinements(bodies, inertias, ends, elements):

@@ -229,6 +229,12 @@ def body_groups(scene):
     # Forces at a joint connect the same bodies as the joint; forces on one body connect none.
     pairs = [(getattr(link, "child", WORLD), getattr(link, "parent", WORLD)) for link in (*scene.joints, *scene.forces)]
     child_of = {joint.name: joint.child for joint in scene.joints}
+    child_of |= {force.name: child_of[force.joint] for force in scene.forces if force.joint_moves}
+    for sensor in scene.sensors:
+        if sensor.type == "distance":
+            pairs.append((sensor.child, sensor.parent))
+        own = [getattr(sensor, key) for key in ("body", "child") if hasattr(sensor, key)]
+        child_of[sensor.name] = own[0] if own else child_of[sensor.joint]
     for force in scene.forces:
         if force.type == "law":  # it connects all that it reads and acts on
             bodies = [name for name in force.on_bodies(child_of) if name in label]

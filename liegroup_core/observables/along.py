@@ -5,7 +5,7 @@ import numpy as np
 
 from liegroup_core.compiling import SameTypes, kernel
 from liegroup_core.dynamics.constraints import position_residuals
-from liegroup_core.forces import kinds
+from liegroup_core.forces import kinds, law
 from liegroup_core.forces.gravity import energy as gravity_energy
 from liegroup_core.lie.so3 import so3_to_quaternion
 from liegroup_core.lie.vec3 import load9
@@ -32,8 +32,10 @@ def _along(model, angle, pose, twist, energy_out, parts_out, residual_out, angle
 def _powers(forces, angle, targets, registers, times, pose, twist, out):
     for k in range(len(pose)):
         registers[0, 0] = times[k]
+        first = angle.shape[1] - len(forces.laws.states)
         for s in range(len(forces.laws.states)):
-            registers[forces.laws.states[s, 0], 0] = angle[k, len(forces.counted) + s]
+            registers[forces.laws.states[s, 0], 0] = angle[k, first + s]
+        law.measure(forces.laws, angle[k], pose[k], twist[k], registers)
         found = kinds.powers(forces, angle[k], targets, registers, pose[k], twist[k])
         out[k, 0], out[k, 1], out[k, 2], out[k, 3], out[k, 4] = found
 

@@ -103,7 +103,8 @@ class Reactions:
         _ = self.present
         if self._layout.joint_forces:
             out, targets = np.zeros(len(self._layout.joint_forces)), self._layout.targets
-            efforts(self._model.space.forces, np.zeros(len(self._work.angle)), targets, pose, twist, out)
+            forces, registers = self._model.space.forces, self._work.registers.copy()
+            efforts(forces, np.zeros(len(self._work.angle)), targets, registers, pose, twist, out)
 
     @cached_property
     def _table(self):

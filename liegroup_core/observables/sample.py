@@ -286,7 +286,8 @@ class Sample:
         """
         layout, out = self._layout, np.zeros(len(self._layout.joint_forces))
         if len(out):
-            kinds.efforts(layout.model.forces, self.angles, self.acting.targets, *self._state, out)
+            given = self.angles, self.acting.targets, self.registers
+            kinds.efforts(layout.model.forces, *given, *self._state, out)
         found = {force.name: effort for force, effort in zip(kinds.joint_laws(self.scene.forces), out.tolist())}
         return {name: found[name] for name in layout.joint_forces}
 

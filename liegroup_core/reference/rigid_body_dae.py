@@ -26,7 +26,7 @@ import numpy as np
 from liegroup_core.compiling import kernel, subroutine
 
 from .equations import Equations, joint_equations
-from .laws import LawLoads, add_laws
+from .laws import LawLoads, add_laws, set_targets, set_values
 from .loads import Loads, add_loads
 from .vectors import FRAME, cross, dot, place, plus, three, turned, turned_back
 
@@ -162,8 +162,10 @@ def rates(system, chosen, times, given, states, wrench, out):
         state, angle = states[p, :turns].reshape(n, STATE), states[p, turns:]
         force[:] = 0.0
         place(state, frame)
+        set_values(system.laws, times[p], state, frame, angle, stack, values)
+        set_targets(system.laws, values, system.loads.turn_law, system.loads.slide_law)
         add_loads(system.loads, system.mass, frame, angle, wrench, force, out[p, turns:])
-        add_laws(system.laws, times[p], state, frame, angle, stack, values, force, out[p, turns:])
+        add_laws(system.laws, frame, angle, values, force, out[p, turns:])
         for i in range(n):
             omega = three(state, i, 10)
             torque = turned_back(frame, i, three(force, i, 3))

@@ -8,7 +8,7 @@ from liegroup_core.scene.consistency import resolve_frames
 from liegroup_core.scene.massless import lack_of_inertia
 
 from .equations import ANGLE, DISTANCE, JOINTS, LEVEL, Equations, X
-from .laws import angles_of, build_laws, laws_of
+from .laws import SHIFT, TURN, angles_of, build_laws, laws_of
 from .loads import Loads
 from .rigid_body_dae import System
 
@@ -23,9 +23,9 @@ def build_system(scene, pose, angles=None):
     """Arrays of a scene with body frames at the centres of mass.
 
     pose   : (n, 12) R row by row (body -> world), then r in m, at the start of the integration
-    angles : (u,) rad, those of `scene.unwrapped` at that pose, then the states of laws; None: angles in (-pi, pi],
-             states at their start
-    returns (System, (t,) angles in rad at that pose, of the joints that need one, then states)
+    angles : (u,) rad, those of `scene.unwrapped` at that pose, then what sampled laws hold and the states of laws;
+             None: angles in (-pi, pi], states at their start
+    returns (System, (t,) angles in rad at that pose, of the joints that need one, then states, [PeriodicLaw])
     Raises SimulationError for a joint or force without equations here.
     """
     index = {body.name: i for i, body in enumerate(scene.bodies)} | {"world": len(scene.bodies)}
@@ -60,6 +60,11 @@ def build_system(scene, pose, angles=None):
     known = {} if angles is None else dict(zip((name for name, _ in scene.unwrapped), angles))
     start = np.array([known.get(joint.name, _angle(relative[joint.name])) for joint, _ in turns], dtype=float)
     equations = _equations(scene, index, frames, relative, (coupled, start))
+    servos, screws = {}, sum(joint.type == "screw" for joint in scene.joints)
+    for what, types, first in ((TURN, TURNING, screws), (SHIFT, SLIDING, 0)):
+        own = [force for force in scene.forces if force.type in types]
+        servos |= {force.name: (what, first + k, force) for k, force in enumerate(own)}
+    laws, sampled = build_laws(scene, index, joints, frames, read_angles, servos)
     inertia = np.array([body.inertia_matrix for body in scene.bodies])
     system = System(
         mass=np.array([body.mass for body in scene.bodies], dtype=float),
@@ -68,12 +73,12 @@ def build_system(scene, pose, angles=None):
         size=float(np.linalg.norm(equations.point.reshape(-1, 2, 3), axis=2).max(initial=0.0)) or 1.0,
         equations=equations,
         loads=_loads(scene, index, frames, turns, slides),
-        laws=build_laws(scene, index, joints, frames, read_angles),
+        laws=laws,
     )
-    states = [each.start for law in laws_of(scene) for each in law.states.values()]
+    states = [each.start for law in laws_of(scene) if law.period is None for each in law.states.values()]
     if angles is not None and len(angles) > len(scene.unwrapped):
-        states = angles[len(scene.unwrapped) :]
-    return system, np.append(start, states)
+        laws.held[:], states = np.split(angles[len(scene.unwrapped) :], [len(laws.held)])
+    return system, np.append(start, states), sampled
 
 
 def _relative(scene, frames, start):

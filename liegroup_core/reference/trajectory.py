@@ -15,6 +15,7 @@ from liegroup_core.scene.consistency import resolve_drives
 from liegroup_core.threads import one_blas_thread
 
 from .collocation import CollocationSteps
+from .laws import HeldValues
 from .rigid_body_dae import STATE, chosen_rows, rates, unit_rows
 from .system import build_system, with_targets
 
@@ -124,7 +125,7 @@ class Reference:
     """Integration as by `integrate`, continued from one call of `at` to the next.
 
     end    : s, last time that can be requested
-    angles : (u,) rad, those of `Scene.unwrapped` at `start`, then states of laws; None: in (-pi, pi], and their starts
+    angles : (u,) rad, those of `Scene.unwrapped` at `start`, then numbers of laws; None: in (-pi, pi], and their starts
     most_steps : limit of the steps of each of the two integrations
     The other arguments are those of `integrate`.
 
@@ -137,11 +138,17 @@ class Reference:
     ):
         scene = assembled(scene)
         pose, self._offsets = np.asarray(pose, dtype=float), Offsets(scene)
-        system, angles = build_system(at_centres_of_mass(scene), pose, angles)
+        is_new = angles is None
+        system, angles, sampled = build_system(at_centres_of_mass(scene), pose, angles)
         state = np.concatenate([_to_state(pose, np.asarray(twist, dtype=float)), angles])
         pieces = _pieces(scene, system, self._offsets, changes, start, end)
         self._shape, self._length = (len(pose), STATE), system.size
-        self._runs = [_Run(system, state, start, pieces, tolerance, most_steps) for tolerance in (rtol, LOOSER * rtol)]
+        self._runs = [
+            _Run(system, state, start, pieces, part * rtol, most_steps, sampled, len(pose), part == 1)
+            for part in (1, LOOSER)
+        ]
+        for run in self._runs if is_new else ():
+            run.sampling.meet(start, state)
         self._largest, self.stopped = None, None
 
     @property
@@ -303,7 +310,10 @@ def _best_rows(system, rows, rank):
 class _Run:
     """Integration with one tolerance, continued from one call of `at` to the next."""
 
-    def __init__(self, system, state, start, pieces, rtol, most_steps):
+    def __init__(self, system, state, start, pieces, rtol, most_steps, sampled, bodies, halves):
+        self.sampling = HeldValues(system.laws, sampled, bodies)
+        # Of two runs whose steps end at the same instants, the more exact one takes two: else both had the same errors.
+        self._halves = halves
         self._system, self._rtol, self._most_steps = system, rtol, most_steps
         self._pending = list(pieces)
         self._state, self.reached = state, start
@@ -346,7 +356,16 @@ class _Run:
         if self._solver is None or self.reached >= self._end:
             if not self._pending:
                 return False
-            self._begin(*self._pending.pop(0))
+            begin, end, *given = self._pending.pop(0)
+            if self._solver is not None:
+                self.sampling.meet(begin, self._state)
+            change = self.sampling.before(begin, end)
+            if change < end:
+                self._pending.insert(0, (change, end, *given))
+                if self._halves:
+                    self._pending.insert(0, (0.5 * (begin + change), change, *given))
+                    change = self._pending[0][0]
+            self._begin(begin, change, *given)
         solver = self._solver
         self.steps_taken += 1
         moves = solver.advance(self._end)
@@ -382,6 +401,7 @@ class _Run:
 
     def _begin(self, begin, end, system, wrench, driving):
         self._driving, self._end = driving, end
+        system = system._replace(laws=self.sampling.loads)
 
         def function(times, states, out):
             given = np.stack([self._given(time) for time in times])

@@ -13,7 +13,7 @@ If all centres of mass are at the origins of the body frames, all numbers pass u
 
 import numpy as np
 
-# {key whose value is a point or frame in a body's frame: key with the name of this body}, of joints and forces.
+# {key whose value is a point or frame in a body's frame: key with the name of this body}, of joints, forces, sensors.
 # test/core/test_centres.py finds keys that are missing here.
 PLACES = {
     "parent_frame": "parent",
@@ -21,6 +21,7 @@ PLACES = {
     "parent_point": "parent",
     "child_point": "child",
     "point": "body",
+    "frame": "body",
 }
 
 
@@ -38,6 +39,7 @@ def at_centres_of_mass(scene):
         bodies=[_body_at_centre(body) for body in scene.bodies],
         joints=[_shifted(joint, com) for joint in scene.joints],
         forces=[_shifted(force, com) for force in scene.forces],
+        sensors=[_shifted(sensor, com) for sensor in scene.sensors],
     )
 
 
@@ -55,11 +57,11 @@ def _body_at_centre(body):
 
 
 def _shifted(link, com):
-    """Joint or force with its points and frames relative to the centres of mass."""
+    """Joint, force or sensor with its points and frames relative to the centres of mass."""
     moved = link.at_centres(com) if hasattr(link, "at_centres") else {}
     for key, end in PLACES.items():
         place = getattr(link, key, None)
-        if place is None:
+        if place is None or not hasattr(link, end):  # the frame of a force-torque sensor is in the child of its joint
             continue
         offset = com[getattr(link, end)]
         moved[key] = (

@@ -198,7 +198,7 @@ class Scene(Described):
         types = {joint.name: joint.type for joint in self.joints}
         coupled = [(name, e.name) for e in self.couplings for name in e.counted if TYPES[types[name]].turns]
         turning = [name for name, kind in types.items() if TYPES[kind].coordinate == "rad"]
-        return force_kinds.unwrapped(self.forces, coupled, turning)
+        return force_kinds.unwrapped(self.forces, coupled, turning, self.sensors)
 
     @property
     def robot(self):
@@ -239,9 +239,14 @@ class Scene(Described):
             refuse_switches(joint, i)
         kinds = {joint.name: joint.type for joint in self.joints}
         moves, signals = [joint.name for joint in self.joints if TYPES[joint.type].coordinate], []
+        servos = [force.name for force in self.forces if force.type in ("servo", "linear_servo")]
         for key, i, link in links:
             if link.type == "law":
-                refuse_law(link, bodies, moves, signals, i)
+                refuse_law(link, bodies, moves, signals, self.sensors, servos, i)
+                led = [each.servo for each in link.outputs if each.servo is not None]
+                if len({*led}) < len(led):
+                    raise SceneError(f'forces[{i}] "{link.name}": two of its outputs are for the same servo')
+                servos = [name for name in servos if name not in led]
                 signals += [f"{link.name}.{name}" for name in (*link.states, *link.signals)]
             elif hasattr(link, "joint"):
                 refuse_joint(link, kinds, i)

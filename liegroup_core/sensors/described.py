@@ -50,12 +50,16 @@ class NoisySensor(Sensor):
         The noise is sampled from a counter-based generator (Philox). Its key is the seed and the sensor's
         name, its counter the time in ns. So it has no state, and a run is bit-identical from any step on.
         """
-        values, noise = self.measure(sample), self.noise
-        if noise.any():
-            key = [self.seed, zlib.crc32(self.name.encode())]
-            bits = np.random.Philox(key=key, counter=[0, 0, 0, sample.time_ns])
-            values = values + noise * np.random.Generator(bits).standard_normal(len(noise))
-        return values
+        return self.measure(sample) + self.noise_at(sample.time_ns)
+
+    def noise_at(self, time_ns):
+        """Noise of all numbers at a time in ns."""
+        noise = self.noise
+        if not noise.any():
+            return np.zeros(len(noise))
+        key = [self.seed, zlib.crc32(self.name.encode())]
+        bits = np.random.Philox(key=key, counter=[0, 0, 0, time_ns])
+        return noise * np.random.Generator(bits).standard_normal(len(noise))
 
 
 @lru_cache(maxsize=1024)

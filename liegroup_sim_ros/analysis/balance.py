@@ -4,9 +4,10 @@
     kinetic + potential energy + energy of springs - (work of forces and joints + energy of impacts) = constant
 
 The energies are those of the recorded states, the energies of impacts are recorded. Work is the integral of the
-powers at the samples, by quintic splines between the times at which an input or a mode of a joint changes. The
-error of this quadrature is estimated by its difference from that with every second sample, summed over the times
-between samples. The remainder contains both errors, that of the motion and that of the quadrature.
+powers at the samples, by quintic splines between the times at which an input or a mode of a joint changes, or what a
+sampled law holds, unless that changes more often than there are samples. The error of this quadrature is estimated by
+its difference from that with every second sample, summed over the times between samples. The remainder contains both
+errors, that of the motion and that of the quadrature.
 """
 
 import numpy as np
@@ -14,6 +15,8 @@ from scipy.interpolate import make_interp_spline
 
 from liegroup_core.forces import kinds
 from liegroup_core.forces.external import acts, power
+from liegroup_core.forces.instants import StepGrid
+from liegroup_core.forces.sampled import Sampling
 from liegroup_core.observables.along import STORES, powers
 from liegroup_sim_ros.messages.joint_modes import ENERGY
 
@@ -31,7 +34,9 @@ class Balance:
 
     def __init__(self, layout, recording, expected):
         self._layout, self._step = layout, recording.settings["step"]
-        self._acting = ActingInputs(layout, self._step)
+        self._acting, self._grid = ActingInputs(layout, self._step), StepGrid(self._step)
+        forces, self._sampling = layout.model.forces, Sampling(layout, self._grid)
+        self._held = slice(len(forces.counted), len(forces.counted) + len(forces.laws.held))
         self._has_forces = any(not force.is_conservative for force in layout.scene.forces)
         self._has_joints = bool(layout.motions or layout.switches)
         self._every = -(-expected // MOST_POINTS)
@@ -72,12 +77,20 @@ class Balance:
         pose, twist = self._layout.offsets.to_centres(pose, twist)
         done, changes = self._work.copy(), self._changes
         inner = changes[(changes > times[0]) & (changes < times[-1])]
+        ends = (self._grid.instant(float(time)) for time in times[[0, -1]])
+        sampled = self._sampling.between(*ends, len(times))
+        if sampled:
+            inner = np.unique(np.concatenate([inner, sampled]))
         for a, b in zip([times[0], *inner], [*inner, times[-1]]):
             first, end = np.searchsorted(times, [a - AT_CHANGE, b + AT_CHANGE])
             # With fewer than two samples inside, those around are better than none.
             around = end - first < 2
             rows = slice(max(0, first - around), end + around)
-            found = self._powers(0.5 * (a + b), times[rows], pose[rows], twist[rows], angles[rows])
+            own = angles[rows]
+            if sampled:
+                own = own.copy()
+                own[:, self._held] = angles[min(first, len(angles) - 1), self._held]
+            found = self._powers(0.5 * (a + b), times[rows], pose[rows], twist[rows], own)
             work, error = _integrals(times[rows], found, a, b)
             out[first:end, :IMPACTS] = done[:IMPACTS] + work(times[first:end])
             done[:IMPACTS] += work(b)

@@ -485,7 +485,7 @@ def test_laws_read_signals_of_earlier_laws_and_samples_show_them():
         ({"parameters": {"q": 1.0}}, "q is also one of its inputs"),
         ({"parameters": {"if": 1.0}}, "the name if is taken"),
         ({"outputs": [{"joint": "hinge", "torque": [0, 0, 1]}]}, "give either joint and effort"),
-        ({"outputs": [{"joint": "hinge"}]}, "effort belongs to joint"),
+        ({"outputs": [{"joint": "hinge"}]}, "effort is missing"),
         ({"outputs": [{"joint": "nut", "effort": 1}]}, "'nut' is not a joint with one coordinate"),
         ({"outputs": [{"body": "bib", "force": [1, 0, 0]}]}, "choose one of: bob"),
         ({"outputs": [{"body": "bob", "force": ["max(1", "q)", 0]}]}, "is no formula"),

@@ -16,7 +16,7 @@ from liegroup_core.scene.load import scene_from_text
 
 SCENES = (
     *("lagrangian_top", "heavy_top", "four_bar", "slider_crank", "driven_arm", "flyball_governor", "hinge_chain"),
-    *("stick_slip", "cable", "gripper", "door", "controlled", "kinked"),
+    *("stick_slip", "cable", "gripper", "door", "controlled", "kinked", "sampled"),
 )
 # A law with states, kinks and the time, on a mechanism with a stop.
 CONTROLLED = """
@@ -49,7 +49,30 @@ forces:
 KINKED = CONTROLLED.replace(",\n   limits: {lower: -0.3, upper: 0.95, restitution: 0.5}", "").replace(
     "effort: a}", 'effort: "a - 0.3*(1 if w > 0 else -1) - 4*max(q - 0.4, 0)"}'
 )
-OWN = {"controlled": CONTROLLED, "kinked": KINKED}
+# Sampled laws with periods that steps do not divide, delays and states, and a continuous one that reads their signals.
+SAMPLED = CONTROLLED.replace("name: controlled", "name: sampled").replace(
+    "- {name: hold",
+    """- name: slow
+  type: law
+  period: 0.0123
+  delay: 0.03
+  inputs: {q: hinge.position, w: hinge.velocity, u: pid.u}
+  states: {n: {update: n + 1}, last: {start: 0.1, update: q}}
+  signals: {rate: (q - last)/0.0123, lead: "q + 0.1*w if n < 7 else u"}
+  outputs: [{joint: hinge, effort: -3*lead - 0.2*rate}, {body: tip, force: [0, 0, n], point: [0.1, 0, 0]}]
+- name: fast
+  type: law
+  period: 0.004
+  inputs: {lead: slow.lead, x: tip.x, e: pid.e}
+  signals: {u: lead - x - e}
+  outputs: [{body: tip, force: [u, 0, 0]}]
+- name: between
+  type: law
+  inputs: {u: fast.u, w: hinge.velocity}
+  outputs: [{joint: hinge, effort: 0.3*u - 0.05*w}]
+- {name: hold""",
+)
+OWN = {"controlled": CONTROLLED, "kinked": KINKED, "sampled": SAMPLED}
 ACCURACIES = ({"accuracy": 1e-5}, {"accuracy": 1e-3, "horizon": 5.0, "step": 0.1}, {"accuracy": 1e-9, "step": 2e-3})
 SECONDS, COMMANDS = 0.25, 10
 PAIRS = some(range(5000), 60)

@@ -152,7 +152,7 @@ def test_joint_residuals_match_their_time_derivatives(kind):
     scene = mechanisms.mechanism(rng, [("world", "a", "spherical"), ("a", "b", kind)], springs=0)
     scene = scene.model_copy(update={"joints": scene.joints[1:]})
     start, _ = initial_state(scene)
-    system, angle = build_system(scene, start)
+    system, angle, _ = build_system(scene, start)
     axis, (w, b), (v, a) = (*rng.normal(size=(1, 2, 3)), rng.normal(size=(2, 2)), rng.normal(size=(2, 2, 3)))
     axis /= np.linalg.norm(axis, axis=1)[:, None]
     k = len(system.equations.kind)

@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Laws that read sensors: the numbers that the sensors measure, in the engine and in the reference integration."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from liegroup_core import SceneError, Simulation
+from liegroup_core.reference import integrate
+from liegroup_core.scene.load import scene_from_text
+
+# Centres of mass away from the body frames, and sensors in frames of their own.
+ARM = """
+name: arm
+gravity: [0, 0, -9.81]
+bodies:
+- {name: upper, mass: 1.2, inertia: [0.1, 0.12, 0.05], com: [0.1, 0.05, -0.4], rotation_vector: [0, 0.4, 0]}
+- {name: lower, mass: 0.7, inertia: [0.05, 0.06, 0.03], com: [-0.05, 0.1, -0.2]}
+assemble: true
+joints:
+- {name: shoulder, type: revolute, parent: world, child: upper, parent_frame: {axis: [0, 1, 0]},
+   child_frame: {axis: [0, 1, 0]}, rate: 1.3}
+- {name: elbow, type: revolute, parent: upper, child: lower, parent_frame: {position: [0, 0, -0.8], axis: [1, 0, 0]},
+   child_frame: {axis: [1, 0, 0]}, rate: -0.7}
+sensors:
+- {name: tracker, type: pose, body: lower, frame: {position: [0.1, 0.2, -0.5], rotation_vector: [0.3, -0.5, 1.1]}NOISE}
+- {name: imu, type: imu, body: upper, frame: {position: [0.1, 0, 0], rotation_vector: [0, 1, 0.4]},
+   angular_velocity_bias: [0.01, -0.02, 0.03]}
+- {name: wire, type: distance, parent: upper, child: lower, parent_point: [0.3, 0, 0], child_point: [0, 0.2, -0.4]}
+- {name: laser, type: distance, parent: world, child: lower, parent_point: [0, 2, 0]}
+- {name: coder, type: encoder, jointRESOLUTION: elbow}
+- {name: load, type: force_torque, joint: elbow}
+forces:
+- name: own
+  type: law
+  PERIOD
+  inputs: {INPUTS}
+  outputs: [{joint: elbow, effort: "-0.5*(coder0 - 0.3) + 0.1*laser1 - 0.2*imu5 + 0.1*tracker4"},
+            {joint: shoulder, effort: "0.3*wire0 - 0.2*wire1 + 0.1*tracker2 - 0.05*tracker8"}]
+"""
+COUNTS = {"tracker": 13, "imu": 7, "wire": 2, "laser": 2, "coder": 1}
+
+
+def arm(period="", noise="", resolution=""):
+    inputs = ", ".join(f"{name}{k}: {name}.{k}" for name, count in COUNTS.items() for k in range(count))
+    signals = ", ".join(f"s_{name}{k}: {name}{k}" for name, count in COUNTS.items() for k in range(count))
+    text = ARM.replace("NOISE", noise).replace("jointRESOLUTION: elbow", f"joint: elbow{resolution}")
+    text = text.replace("PERIOD", f"{period}signals: {{{signals}}}")
+    return scene_from_text(text.replace("INPUTS", inputs), "test")
+
+
+def read(sample):
+    """{SENSOR.k: number} as the law has read them, and as the sensors measure."""
+    own = {name: sample.signals[f"own.s_{name.replace('.', '')}"] for name in measured(sample)}
+    return own, measured(sample)
+
+
+def measured(sample):
+    return {f"{name}.{k}": sample.sensors[name][k] for name, count in COUNTS.items() for k in range(count)}
+
+
+def test_a_law_reads_what_sensors_measure():
+    """Sensors measure by NumPy from the poses of the body frames: to a few roundings of numbers near 1."""
+    simulation = Simulation(arm(), accuracy=1e-8, quiet=True)
+    start = simulation.state()
+    for time in (0.0, 0.31, 1.0):
+        simulation.advance_to(time)
+        own, known = read(simulation.sample())
+        assert len(own) == 25
+        assert_allclose(list(own.values()), list(known.values()), rtol=0, atol=1e-14)
+    found, _ = integrate(arm(), *start, np.array([1.0]))
+    assert_allclose(simulation.sample().pose[:, 9:], found.position[0], rtol=0, atol=1e-7)
+
+
+def test_a_sampled_law_reads_noise_and_resolution_as_they_are_recorded():
+    """At its instants, in both runs of an estimate, and in the reference integration."""
+    settings = "period: 0.05\n  ", ", position_noise: 0.03, seed: 4", ", resolution: 0.01"
+    scene = arm(*settings)
+    simulation, still = Simulation(scene, accuracy=1e-8, quiet=True), Simulation(arm(*settings[:1]), quiet=True)
+    start = simulation.state()
+    for k in range(20):
+        simulation.advance_to(0.05 * k)
+        own, known = read(simulation.sample())
+        assert_allclose(list(own.values()), list(known.values()), rtol=0, atol=1e-14)
+    assert simulation.largest_error < 1e-8
+    still.advance_to(0.95)
+    noise = np.abs(simulation.sample().pose - still.sample().pose).max()
+    found, _ = integrate(scene, *start, np.array([0.95]))
+    assert np.abs(simulation.sample().pose[:, 9:] - found.position[0]).max() < 1e-7 < 1e-4 < noise
+
+
+@pytest.mark.parametrize(
+    "inputs, period, reason",
+    [
+        ("{q: load.3}", "", "inputs.q: 'load.3' is no quantity of a law"),
+        ("{q: imu.8}", "", "inputs.q: 'imu.8' is no quantity of a law"),
+        ("{q: wire.length}", "", "inputs.q: 'wire.length' is no quantity of a law; "),
+        ("{q: wires.0}", "", 'did you mean "wire.0"'),
+        ("{q: coder.0}", "", "inputs.q: coder.0 has noise or a resolution: give the law a period"),
+        ("{q: tracker.1}", "", "inputs.q: tracker.1 has noise or a resolution: give the law a period"),
+        ("{q: {quantity: wire.0, point: [0, 0, 1]}}", "", "wire.0 has no point: omit it"),
+        ("{q: coder.0, x: tracker.1, v: tracker.8}", "period: 0.1, ", None),
+        ("{v: tracker.8}", "", None),
+    ],
+)
+def test_what_a_law_cannot_read_is_refused_in_one_line(inputs, period, reason):
+    text = ARM.replace("NOISE", ", position_noise: 0.1")
+    text = text.replace("jointRESOLUTION: elbow", "joint: elbow, resolution: 0.1")
+    text = text[: text.index("forces:")]
+    text += f"forces:\n- {{name: own, type: law, {period}inputs: {inputs}, signals: {{a: 1}}}}\n"
+    if reason is None:
+        scene_from_text(text, "test")
+        return
+    with pytest.raises(SceneError) as refused:
+        scene_from_text(text, "test")
+    assert reason in str(refused.value) and "\n" not in str(refused.value)
