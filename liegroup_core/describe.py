@@ -103,7 +103,7 @@ def describe(layout):
         ],
         "forces": [
             {"name": force.name, "type": force.type, "on": _acts_on(force)}
-            | ({"signals": [*force.states, *force.signals]} if force.type == "law" else {})
+            | ({"signals": force.law.shown} if hasattr(force, "law") else {})
             for force in scene.forces
         ],
         "sensors": [{"name": sensor.name, "type": sensor.type, "on": _acts_on(sensor)} for sensor in scene.sensors],
@@ -285,7 +285,8 @@ def _direction(normal):
 
 def _acts_on(force):
     """Names of the two ends of a force, of its joint or its body, or of all joints and bodies that a law acts on."""
-    if force.type == "law":
+    if hasattr(force, "law"):
+        force = force.law
         return list(dict.fromkeys(each.joint or each.body for each in force.outputs))
     if hasattr(force, "joint"):
         return [force.joint]

@@ -24,6 +24,7 @@ from liegroup_core.dynamics.switches import (
     LOWER,
     MOST,
     RESTING,
+    ROUND_OFF,
     SLIDING,
     UPPER,
     coordinate,
@@ -31,7 +32,7 @@ from liegroup_core.dynamics.switches import (
     set_guards,
 )
 from liegroup_core.forces.formulas import OPEN
-from liegroup_core.forces.law import branch_of, distances_in
+from liegroup_core.forces.law import branch_of, distances_in, effect_of_branch, is_continuous, next_branch
 from liegroup_core.mechanism.arrays import COORDINATE, NODES, RESTS, SIDE, SLIP
 
 NONE = -1.0  # in Work.crossed: the guard is not crossed
@@ -94,6 +95,24 @@ def note_guards(model, work, row):
 
 
 @kernel
+def _matters(model, work, k, c, way, h):
+    """Whether the branch k beyond its end c differs from the next one by more than round-off.
+
+    way : guard, negative: of a continuous kink the difference grows with it
+    """
+    laws, end = model.space.forces.laws, work.guards[len(model.switches) + k, c]
+    force = 0.0
+    for i in range(len(work.wrench)):
+        for j in range(6):
+            force += abs(work.wrench[i, j])
+    other = next_branch(laws, work.branches[k], k, c == MOST)
+    effect = effect_of_branch(laws, work.branches, work.registers, k, other, force, h)
+    if way != end and end > 0.0 and is_continuous(laws, k):
+        effect *= -way / end
+    return effect > ROUND_OFF
+
+
+@kernel
 def _close_branch(work, weights, k, row):
     """Let a branch that is OPEN hold, if all saved stages of the substep have it, and lead away from its end."""
     now = work.course[END, row, 0]
@@ -116,10 +135,10 @@ def begin_at_end(work):
 
 @kernel
 def _gives_way(weights, course, k, c):
-    """Fraction of the step at which guard c, LEAST or MOST, of switch k may be negative, or NONE."""
-    if not course[END, k, c - LEAST] < math.inf:
-        return NONE
+    """(fraction of the step at which guard c, LEAST or MOST, of switch k may be negative, guard there), or NONE, 0."""
     place, least = NONE, 0.0
+    if not course[END, k, c - LEAST] < math.inf:
+        return place, least
     for i in range(PARTS - 1):
         guard, other = 0.0, 0.0
         for row in range(NODES):
@@ -128,7 +147,7 @@ def _gives_way(weights, course, k, c):
         guard -= abs(guard - other)
         if guard < least:
             place, least = (i + 1) / PARTS, guard
-    return place
+    return place, least
 
 
 @kernel
@@ -235,7 +254,7 @@ def crossed(model, work, h, weights):
                 if guards[k, c] < 0.0:
                     places[k, c] = 1.0
                 elif c > SLIDING:
-                    places[k, c] = _gives_way(weights, work.course, k, c)
+                    places[k, c] = _gives_way(weights, work.course, k, c)[0]
         else:
             q0, v0, v1 = work.modes[k, COORDINATE], work.since[k, 0], work.now[k, 0]
             a0, a1, soft = work.since[k, 1], work.now[k, 1], switch["stiffness"] > 0.0
@@ -274,6 +293,13 @@ def crossed(model, work, h, weights):
             _close_branch(work, weights, k, row)
             continue
         for c in range(LEAST, MOST + 1):
-            places[row, c] = 1.0 if work.guards[row, c] < 0.0 else _gives_way(weights, work.course, row, c)
-            found = found or places[row, c] != NONE
+            place, way = 1.0, work.guards[row, c]
+            if not way < 0.0:
+                place, way = _gives_way(weights, work.course, row, c)
+            if place != NONE and not _matters(model, work, k, c, way, h):
+                if place == 1.0:  # it changes without an event
+                    work.branches[k] = branch_of(model.space.forces.laws, work.registers, k)
+                place = NONE
+            places[row, c] = place
+            found = found or place != NONE
     return found

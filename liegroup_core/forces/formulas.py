@@ -147,6 +147,17 @@ class Program:
             self.code.append((operation, to, a, b, self.new() if operation in BRANCHED else c))
         return self._known[key]
 
+    def branched(self, results):
+        """[number of an instruction] with branches, on which a set of registers depends."""
+        needed, found = {*results}, []
+        for i in range(len(self.code) - 1, -1, -1):
+            operation, to, *given = self.code[i]
+            if to in needed:
+                needed.update(given)
+                if operation in BRANCHED:
+                    found.append(i)
+        return found[::-1]
+
     def compile(self, text, names, tables=()):
         """Register of the value of a formula.
 

@@ -22,6 +22,7 @@ from liegroup_core.compiling import Struct, borrowed, kernel, shared
 
 from . import axis, drag, joint_law, law, spring_damper
 from .applied_wrench import ConstantWrench
+from .contact import Contact
 from .drag import Drag
 from .joint_law import LinearMotor, LinearServo, LinearSpringDamper, Motor, Servo, TorsionalSpringDamper
 from .law import Law
@@ -29,6 +30,7 @@ from .spring_damper import SpringDamper
 
 __all__ = [
     "ConstantWrench",
+    "Contact",
     "Drag",
     "Law",
     "LinearMotor",
@@ -51,6 +53,7 @@ FORCES = (
     LinearServo,
     Drag,
     Law,
+    Contact,
     ConstantWrench,
 )
 POWERS = (*joint_law.GROUPS, "drag", "laws")  # groups of forces in `powers`

@@ -50,7 +50,8 @@ from liegroup_core.lie.vec3 import add3, cross3, dot3, load3, load9, matmul3, ma
 from . import axis
 from .described import Force
 from .formulas import (
-    BRANCHED,
+    LESS,
+    LESS_EQUAL,
     RESERVED,
     TABLE,
     TIME,
@@ -67,7 +68,21 @@ from .formulas import (
 )
 from .instants import exact_seconds
 from .points import point, point_velocity, turning
-from .readings import ATTITUDE, DISTANCE_RATE, PLACE, POINTS, POSITION, RATE, SPEED, SPIN, names_of, reading, varies
+from .readings import (
+    ATTITUDE,
+    DISTANCE_RATE,
+    PLACE,
+    PLACE_RATE,
+    POINTS,
+    POSITION,
+    RATE,
+    SPEED,
+    SPIN,
+    WORLD_SPIN,
+    names_of,
+    reading,
+    varies,
+)
 
 INPUT = np.dtype(
     [  # see readings.Reading
@@ -170,11 +185,12 @@ class LawInput(Described):
 
     quantity: Text = Field(
         description="JOINT.position or JOINT.velocity of a joint with one coordinate; BODY.x y z (world axes), "
-        "qx qy qz qw, wx wy wz or vx vy vz (body axes) of a body; SENSOR.0 .. of a sensor, but no accelerations and "
-        "wrenches, and only with a period if it has noise or a resolution; LAW.SIGNAL or LAW.STATE of an earlier law"
+        "dx dy dz (their rates), ox oy oz (angular velocity, world axes), qx qy qz qw, wx wy wz or vx vy vz (body axes) "
+        "of a body; SENSOR.0 .. of a sensor, but no accelerations and wrenches, and only with a period if it has noise "
+        "or a resolution; LAW.SIGNAL or LAW.STATE of an earlier law"
     )
     point: Vector3 | None = Field(
-        None, description="point of the body in m, in its frame, for its x y z vx vy vz; default: its origin"
+        None, description="point of the body in m, in its frame, for its x y z dx dy dz vx vy vz; default: its origin"
     )
 
 
@@ -297,6 +313,16 @@ class Law(Force):
             raise SceneError(error.text, place=error.place) from None
         return self
 
+    @property
+    def law(self):
+        """Itself, see `laws_of`."""
+        return self
+
+    @property
+    def shown(self):
+        """Names of what others can read."""
+        return [name for name in (*self.states, *self.signals) if name[0] != "_"]
+
     def compile(self, program, others):
         """_Compiled in a Program.
 
@@ -388,8 +414,8 @@ class _Compiled(NamedTuple):
 
     @property
     def shown(self):
-        """{name: register} of what others can read."""
-        return self.states | self.signals
+        """{name: register} of what others can read; names with _ are those of contacts."""
+        return {name: at for name, at in (self.states | self.signals).items() if name[0] != "_"}
 
 
 class _Misplaced(Exception):
@@ -440,8 +466,8 @@ def refuse_law(law, bodies, moves, earlier, sensors, servos, i):
 
 
 def laws_of(described):
-    """Laws among the forces of a scene."""
-    return [force for force in described if force.type == "law"]
+    """Laws among the forces of a scene, and those of contacts."""
+    return [force.law for force in described if hasattr(force, "law")]
 
 
 def unwrapped_inputs(described, turning, sensors=()):
@@ -624,7 +650,7 @@ def make_laws(described, index, ends, angles, slides, first, sensors=()):
     return Laws(
         inputs=inputs,
         code=np.array(program.code, dtype=np.int64).reshape(-1, 5),
-        kinks=np.array([i for i, each in enumerate(program.code) if each[0] in BRANCHED], dtype=np.int64),
+        kinks=np.array(program.branched({*results}), dtype=np.int64),
         tables=begins,
         points=points,
         outputs=np.array(outputs, dtype=OUTPUT),
@@ -642,15 +668,23 @@ def make_laws(described, index, ends, angles, slides, first, sensors=()):
     )
 
 
+@kernel
 def next_branch(laws, branch, k, above):
     """Branch of kink k beyond the lower or the upper end of a branch."""
-    operation, _, _, number, _ = laws.code[laws.kinks[k]]
-    if operation != TABLE:
+    i = laws.kinks[k]
+    if laws.code[i, 0] != TABLE:
         return -branch
-    first, last = branch_of_segment(-1), branch_of_segment(-2)
+    number = laws.code[i, 3]
     segments = laws.tables[number + 1] - laws.tables[number] - 1
-    place = {first: -1.0, last: float(segments)}.get(branch, branch - branch_of_segment(0)) + (1.0 if above else -1.0)
-    return first if place < 0.0 else last if place >= segments else place + branch_of_segment(0)
+    place = branch - branch_of_segment(0)
+    if branch == branch_of_segment(-1):
+        place = -1.0
+    elif branch == branch_of_segment(-2):
+        place = 1.0 * segments
+    place += 1.0 if above else -1.0
+    if place < 0.0:
+        return branch_of_segment(-1)
+    return branch_of_segment(-2) if place >= segments else place + branch_of_segment(0)
 
 
 @kernel
@@ -732,6 +766,10 @@ def _read_inputs(inputs, angle, pose, twist, registers):
             value += dot3(vector3(row["direction"]), load3(twist, body, 0))
         elif what == SPEED:
             value += dot3(vector3(row["direction"]), _velocity(row, twist))
+        elif what == PLACE_RATE:
+            value = point_velocity(pose, twist, body, vector3(row["point"]))[k]
+        elif what == WORLD_SPIN:
+            value = turning(pose, twist, body)[k]
         else:
             apart, length = _apart(row, pose)
             value = length
@@ -763,6 +801,11 @@ def _read_changes(laws, pose, twist, moves, rates, registers):
             value = dot3(vector3(row["direction"]), load3(rates, body, 0))
         elif what == SPEED:
             value = dot3(vector3(row["direction"]), _velocity(row, rates))
+        elif what == PLACE_RATE:
+            value = _point_change(row, pose, twist, moves, rates, False)[k]
+        elif what == WORLD_SPIN:
+            turned = cross3(turning(pose, moves, body), turning(pose, twist, body))
+            value = add3(turning(pose, rates, body), turned)[k]
         else:
             apart, length = _apart(row, pose)
             moved = _apart_rate(row, pose, moves)
@@ -825,6 +868,56 @@ def branch_of(laws, registers, k):
     i = laws.kinks[k]
     a, b = laws.code[i, 2], laws.code[i, 3]
     return present_branch(laws.code[i, 0], registers[a, 0], registers[b, 0], laws.tables, laws.points, b)
+
+
+@kernel
+def _change_to(now, before):
+    """Change between two numbers; infinite if either is none."""
+    change = abs(now - before)
+    return change if change == change else math.inf
+
+
+@kernel
+def effect_of_branch(laws, branches, registers, k, branch, force, span):
+    """Largest effect of another branch of kink k at the inputs in registers, in parts of a force and of states.
+
+    force : N, for outputs;  span : s, in which rates change states, relative to their scales
+    """
+    _evaluate_with(laws, branches, registers)
+    for e in range(len(laws.outputs)):
+        at = laws.outputs[e]["registers"]
+        for c in range(6):
+            registers[at[c], 1] = registers[at[c], 0]
+    for s in range(len(laws.states)):
+        registers[laws.states[s, 1], 1] = registers[laws.states[s, 1], 0]
+    registers[laws.code[laws.kinks[k], 4], 0], largest = branch, 0.0
+    evaluate(laws.code, laws.tables, laws.points, registers)
+    for e in range(len(laws.outputs)):
+        at = laws.outputs[e]["registers"]
+        for c in range(6):
+            change = _change_to(registers[at[c], 0], registers[at[c], 1])
+            if change > 0.0:
+                largest = max(largest, change / force if force > 0.0 else math.inf)
+    for s in range(len(laws.states)):
+        to = laws.states[s, 1]
+        largest = max(largest, span * _change_to(registers[to, 0], registers[to, 1]) / laws.scales[s])
+    _evaluate_with(laws, branches, registers)
+    if _open_branches(laws, registers, 0):
+        evaluate(laws.code, laws.tables, laws.points, registers)
+    return largest
+
+
+@kernel
+def _evaluate_with(laws, branches, registers):
+    set_branches(laws, branches, registers)
+    evaluate(laws.code, laws.tables, laws.points, registers)
+
+
+@kernel
+def is_continuous(laws, k):
+    """Whether the value of kink k does not jump."""
+    operation = laws.code[laws.kinks[k], 0]
+    return operation != LESS and operation != LESS_EQUAL
 
 
 @kernel

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-POSITION, RATE, PLACE, ATTITUDE, SPIN, SPEED, DISTANCE, DISTANCE_RATE = range(8)  # what a reading is
+POSITION, RATE, PLACE, ATTITUDE, SPIN, SPEED, PLACE_RATE, WORLD_SPIN, DISTANCE, DISTANCE_RATE = range(10)  # what it is
 ORIGIN, UNIT = (0.0, 0.0, 0.0), np.eye(3)
 
 
@@ -38,9 +38,11 @@ _OF_BODY = (
     | {f"q{name}": Reading(ATTITUDE, component=k) for k, name in enumerate("xyzw")}
     | {f"w{name}": Reading(SPIN, direction=tuple(UNIT[k])) for k, name in enumerate("xyz")}
     | {f"v{name}": Reading(SPEED, direction=tuple(UNIT[k])) for k, name in enumerate("xyz")}
+    | {f"d{name}": Reading(PLACE_RATE, component=k) for k, name in enumerate("xyz")}
+    | {f"o{name}": Reading(WORLD_SPIN, component=k) for k, name in enumerate("xyz")}
 )
 TABLE = {"joint": {"position": Reading(POSITION), "velocity": Reading(RATE)}, "body": _OF_BODY}
-POINTS = tuple(part for part, reading in _OF_BODY.items() if reading.what in (PLACE, SPEED))
+POINTS = tuple(part for part, reading in _OF_BODY.items() if reading.what in (PLACE, SPEED, PLACE_RATE))
 
 
 def _frame(sensor):

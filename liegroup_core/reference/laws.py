@@ -29,12 +29,12 @@ from .vectors import (
     turning,
 )
 
-ANGLE, RATE, SLIDE, SLIDE_RATE, PLACE, ATTITUDE, SPIN, SPEED, APART, APART_RATE = range(10)  # inputs
+ANGLE, RATE, SLIDE, SLIDE_RATE, PLACE, PLACE_RATE, TURN, ATTITUDE, SPIN, SPEED, APART, APART_RATE = range(12)  # inputs
 TORQUE, FORCE, BODY, WORLD = range(4)  # outputs: effort of a joint, or wrench in the axes of the body or the world
 TURN, SHIFT = 4, 5  # target of a servo about or along the axis of a joint
 NS = 10**9  # instants are at whole ns
 UNUSED = 0  # place of a held value that nothing reads: that of the time, which is written last
-_OF_BODY = {"": PLACE, "q": ATTITUDE, "w": SPIN, "v": SPEED}
+_OF_BODY = {"": PLACE, "d": PLACE_RATE, "o": TURN, "q": ATTITUDE, "w": SPIN, "v": SPEED}
 
 
 class LawLoads(NamedTuple):
@@ -75,7 +75,7 @@ class PeriodicLaw(NamedTuple):
 
 def laws_of(scene):
     """Laws of a scene."""
-    return [force for force in scene.forces if force.type == "law"]
+    return [force.law for force in scene.forces if hasattr(force, "law")]
 
 
 def angles_of(scene, joints):
@@ -114,7 +114,7 @@ def build_laws(scene, index, joints, frames, angles, servos):
         at, axes = at_point(place), np.eye(3) if axes is None else axes
         if what == ATTITUDE:
             at[[1, 2, 3, 0]] = Rotation.from_matrix(axes).as_quat()
-        elif what != PLACE:
+        elif what in (SPIN, SPEED):
             at[3:6], at[9] = axes[:, k], offset
         return what, (index[name], k), at
 
@@ -256,8 +256,10 @@ def _input(laws, i, state, frame, angle):
         _, _, value, rate = slide(frame, a, b, at, three(laws.read_at, i, 3), three(laws.read_at, i, 6))
         value = np.floor(value / last) * last if last > 0.0 else value
         return value if what == SLIDE else rate
-    if what == PLACE:
-        return point(frame, a, at)[0][b]
+    if what == PLACE or what == PLACE_RATE:
+        return point(frame, a, at)[what - PLACE][b]
+    if what == TURN:
+        return turned(frame, a, three(state, a, 10))[b]
     if what == ATTITUDE:
         w, x, y, z = state[a, 0], state[a, 1], state[a, 2], state[a, 3]
         length = np.sqrt(w * w + x * x + y * y + z * z)

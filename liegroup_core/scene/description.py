@@ -241,13 +241,20 @@ class Scene(Described):
         moves, signals = [joint.name for joint in self.joints if TYPES[joint.type].coordinate], []
         servos = [force.name for force in self.forces if force.type in ("servo", "linear_servo")]
         for key, i, link in links:
-            if link.type == "law":
+            if link.type == "contact":
+                try:
+                    link.complete({body.name: body for body in self.bodies}, self.gravity)
+                except SceneError as error:
+                    where = f'forces[{i}] "{link.name}": {error}'
+                    raise SceneError(where, place=("forces", i, *(error.place or ()))) from None
+                signals += [f"{link.name}.{name}" for name in link.law.shown]
+            elif link.type == "law":
                 refuse_law(link, bodies, moves, signals, self.sensors, servos, i)
                 led = [each.servo for each in link.outputs if each.servo is not None]
                 if len({*led}) < len(led):
                     raise SceneError(f'forces[{i}] "{link.name}": two of its outputs are for the same servo')
                 servos = [name for name in servos if name not in led]
-                signals += [f"{link.name}.{name}" for name in (*link.states, *link.signals)]
+                signals += [f"{link.name}.{name}" for name in link.shown]
             elif hasattr(link, "joint"):
                 refuse_joint(link, kinds, i)
             elif hasattr(link, "body"):

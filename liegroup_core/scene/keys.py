@@ -4,6 +4,7 @@
 from typing import NamedTuple, get_args
 
 from liegroup_core.fields.frames import Frame
+from liegroup_core.forces.contact import CONTACT_SHAPES, Plane
 from liegroup_core.forces.law import LawInput, LawOutput, LawState, LawTable
 from liegroup_core.joints.coupling import Coupling
 from liegroup_core.joints.motion import Motion
@@ -34,6 +35,8 @@ PARTS = {
     "table of a law": (LawTable,),
     "state of a law": (LawState,),
     "output of a law": (LawOutput,),
+    "shape of a contact": CONTACT_SHAPES,
+    "plane of a contact": (Plane,),
     "sensors": SENSORS,
     "drive": (Drive,),
     "file beside a robot": (RobotFile,),

@@ -1,0 +1,511 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Contacts of a body with a plane of the world or with another body: forces that only push, with friction.
+
+Each point of contact has a depth d, with the normal force of Hunt and Crossley
+
+    N = k d (1 + c d') ,   0 where it is not positive
+
+and friction by a bristle z, which the slip speed v of the point bends by the length s at most (Dupont and others,
+Single State Elastoplastic Friction Models, IEEE TAC 47, 2002, in two dimensions and with a polynomial):
+
+    F = -mu N w / max(1, |w|) ,   w = z + tau z' ,   s z' = v - z h ,   h = max(2 |z|^2 - 1, 0) max(z . v, 0)
+
+F stays in the cone, and |z| below 1. Up to half of its square the bristle is elastic; nothing creeps at rest. The
+damping tau is critical for a mass that presses by its own weight: 2 sqrt(s / (mu g)).
+It is written as formulas of a law (law.py), so touching, leaving and slipping are events of the methods with error
+control, and derivatives, snapshots, estimates and the reference integration are those of laws. A bristle keeps its
+place while nothing touches; that is at most the length s of slip.
+
+From a restitution e at the speed v of an impact follows c: with a = c v, a - ln(1 + a) = -e a - ln(1 - e a), which a
+free mass leaves with the speed e v whatever k and the mass are (Hunt and Crossley, J. Appl. Mech. 42, 1975).
+"""
+
+import math
+from functools import cached_property
+from itertools import product
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import scipy
+from pydantic import BeforeValidator, Field, PrivateAttr, model_validator
+
+from liegroup_core.errors import SceneError
+from liegroup_core.fields.frames import Placed, rotation_z_to
+from liegroup_core.fields.values import (
+    Described,
+    Direction,
+    NotNegative,
+    Number,
+    Positive,
+    Quaternion,
+    RotationVector,
+    Sizes,
+    Text,
+    Vector3,
+    listed,
+    one_of,
+)
+
+from .described import Force
+from .law import Law, LawInput, LawOutput, LawState
+
+MOST_POINTS = 64  # of a hull
+STANDING = 1e-9  # a cylinder that leans less stands: its four points of a rim do not turn to the lowest one
+ROUND = ("sphere", "capsule")
+
+
+def _points(value):
+    value = listed(value)
+    if not 1 <= len(value) <= MOST_POINTS:
+        raise ValueError(f"must be 1 to {MOST_POINTS} points [x, y, z]")
+    return value
+
+
+class _Shape(Placed):
+    """Shape of a body for its contacts."""
+
+    position: Vector3 = Field((0.0, 0.0, 0.0), description="its centre in m, in the body frame")
+    quaternion: Quaternion | None = Field(None, description="rotation from its axes to body axes; default: none")
+    rotation_vector: RotationVector | None = Field(None, description="the same as rotation vector in rad")
+    axis: Direction | None = Field(None, description="direction of its z axis in body axes; replaces quaternion")
+
+
+class ContactSphere(_Shape):
+    """Sphere."""
+
+    type: Literal["sphere"] = Field("sphere", description="sphere")
+    radius: Positive = Field(description="radius in m")
+
+
+class ContactCapsule(_Shape):
+    """Cylinder along z with half a sphere at both ends."""
+
+    type: Literal["capsule"] = Field("capsule", description="capsule along its z axis")
+    radius: Positive = Field(description="radius in m")
+    length: Positive = Field(description="length in m, without the half spheres")
+
+
+class ContactCylinder(_Shape):
+    """Cylinder along z."""
+
+    type: Literal["cylinder"] = Field("cylinder", description="cylinder along its z axis")
+    radius: Positive = Field(description="radius in m")
+    length: Positive = Field(description="length in m")
+
+
+class ContactBox(_Shape):
+    """Box."""
+
+    type: Literal["box"] = Field("box", description="box")
+    size: Sizes = Field(description="lengths of the edges in m, in its axes")
+
+
+class ContactHull(_Shape):
+    """Convex hull of points."""
+
+    type: Literal["hull"] = Field("hull", description="convex hull of points")
+    points: Annotated[tuple[Vector3, ...], BeforeValidator(_points)] = Field(
+        description=f"at most {MOST_POINTS} points in m, in its axes"
+    )
+
+
+class Plane(Described):
+    """Plane of the world."""
+
+    point: Vector3 = Field((0.0, 0.0, 0.0), description="a point of it in m, world axes")
+    normal: Direction = Field((0.0, 0.0, 1.0), description="direction in which it pushes, world axes")
+
+
+CONTACT_SHAPES = (ContactSphere, ContactCapsule, ContactCylinder, ContactBox, ContactHull)
+AnyShape = one_of(CONTACT_SHAPES)
+
+
+class Contact(Force):
+    """Contact of a body with a plane of the world, or with another body."""
+
+    type: Literal["contact"] = Field("contact", description="contact")
+    body: Text = Field(description="name of a body")
+    shape: AnyShape | None = Field(None, description="its shape for this contact; default: the shape of the body")
+    plane: Plane = Field(Plane(), description="what it touches: a plane of the world; default: z = 0")
+    other: Text | None = Field(None, description="name of another body that it touches, in place of plane")
+    other_shape: AnyShape | None = Field(None, description="the shape of that body; default: its own")
+    stiffness: Positive | None = Field(None, description="k of each point of contact, N/m")
+    damping: NotNegative | None = Field(None, description="c, s/m: the force is k d (1 + c d') at the depth d")
+    sinks: Positive | None = Field(None, description="in place of stiffness: depth in m of a point under `load`")
+    load: Positive | None = Field(None, description="N; default: the weight of all bodies of the scene")
+    restitution: Number | None = Field(None, description="in place of damping: 0.01 to 1, at an impact with `speed`")
+    speed: Positive = Field(1.0, description="m/s")
+    friction: NotNegative = Field(0.0, description="coefficient of friction")
+    slip: Positive | None = Field(
+        None, description="m: length by which friction yields until it slides; default: friction times `sinks`"
+    )
+    settles: NotNegative | None = Field(
+        None, description="s, damping of this: default: critical for a mass that presses by its own weight"
+    )
+
+    _given: Any = PrivateAttr(None)  # (shapes, load in N, gravity in m/s^2) of the scene
+
+    @model_validator(mode="after")
+    def _check(self):
+        for one, other in (("stiffness", "sinks"), ("damping", "restitution")):
+            given = [key for key in (one, other) if getattr(self, key) is not None]
+            if len(given) != 1:
+                text = f"{one} is missing: give {one} or {other}" if not given else f"{one} and {other}: keep one"
+                raise SceneError(text, place=(given or [one])[:1])
+        if self.restitution is not None and not 0.01 <= self.restitution <= 1.0:
+            raise SceneError("restitution must be from 0.01 to 1", place=("restitution",))
+        if self.other is not None and "plane" in self.model_fields_set:
+            raise SceneError("plane and other: keep one", place=("plane",))
+        if self.other == self.body or self.other is None and self.other_shape is not None:
+            raise SceneError("other must be another body", place=("other",))
+        if self.friction and self.slip is None and self.sinks is None:
+            raise SceneError("slip is missing: friction yields by this length in m until it slides", place=("slip",))
+        return self
+
+    def complete(self, bodies, gravity):
+        """Take shapes of bodies {name: Body} that are not given, and the load from their weight. Raises SceneError."""
+        for key, name in (("body", self.body), ("other", self.other)):
+            if name is not None and name not in bodies:
+                raise SceneError(f"{key} {name!r:.40} is not a body", place=(key,))
+        shapes = [self._shape(bodies, "shape", self.body)]
+        if self.other is not None:
+            shapes.append(self._shape(bodies, "other_shape", self.other))
+            for key, shape, other in zip(("shape", "other_shape"), shapes, shapes[::-1]):
+                if shape.type not in ROUND and (shape.type, other.type) != ("box", "sphere"):
+                    raise SceneError(
+                        f"{key}: a {shape.type} can touch a plane{' or a sphere' if shape.type == 'box' else ''}; "
+                        "two bodies touch as spheres, capsules, or a sphere and a box",
+                        place=(key,),
+                    )
+        gravity = math.hypot(*gravity)
+        load = self.load or sum(body.mass for body in bodies.values()) * gravity
+        if self.sinks is not None and load == 0.0:
+            raise SceneError("load is missing: without gravity give it, or stiffness", place=("load",))
+        self._given = shapes, load, gravity
+
+    def _shape(self, bodies, key, name):
+        shape = getattr(self, key) or bodies[name].shape
+        if shape is None:
+            raise SceneError(f"{key} is missing: the body {name} has none", place=(key,))
+        return shape
+
+    @property
+    def numbers(self):
+        """{name: number} of its law."""
+        _, load, gravity = self._given
+        found = {"stiffness": self.stiffness if self.sinks is None else load / self.sinks}
+        found["damping"] = self.damping if self.restitution is None else damping_of(self.restitution, self.speed)
+        if self.friction:
+            slip, settles = self.slip or self.friction * self.sinks, self.settles
+            if settles is None:
+                settles = 2.0 * math.sqrt(slip / (self.friction * gravity)) if gravity else 0.0
+            found |= {"friction": self.friction, "slip": slip, "settles": settles}
+        return found
+
+    @cached_property
+    def law(self):
+        """Law with its formulas, once it is complete."""
+        found = _Formulas(self.name, self.numbers)
+        shapes, _, _ = self._given
+        if self.other is not None:
+            return _touch_each_other(found, (self.body, self.other), shapes).law
+        normal = np.array(self.plane.normal) / math.hypot(*self.plane.normal)
+        height = float(normal @ np.array(self.plane.point))
+        return _touch_plane(found, self.body, shapes[0], rotation_z_to(normal), height).law
+
+    def on_bodies(self, child_of):
+        """Names of the bodies that it reads or acts on."""
+        return [self.body] if self.other is None else sorted((self.body, self.other))
+
+    def at_centres(self, com):
+        """Entries that change if body frames are at the centres of mass; com : {body: (3,) m}."""
+        shapes, load, _ = self._given
+        found = {"load": load}
+        for key, name, shape in zip(("shape", "other_shape"), (self.body, self.other), shapes):
+            found[key] = _contact_shape(shape, com.get(name, 0.0))
+        return found
+
+
+def _contact_shape(shape, moved):
+    """A shape as one of CONTACT_SHAPES, in a frame that moved by a vector."""
+    kind = {"rod": "cylinder"}.get(shape.type, shape.type)
+    cls = next(cls for cls in CONTACT_SHAPES if cls.model_fields["type"].default == kind)
+    keys = [key for key in ("radius", "length", "size", "points") if key in cls.model_fields]
+    turn = tuple(scipy.spatial.transform.Rotation.from_matrix(shape.rotation).as_quat().tolist())
+    place = tuple((np.array(shape.position) - moved).tolist())
+    return cls(position=place, quaternion=turn, **{key: getattr(shape, key) for key in keys})
+
+
+def damping_of(restitution, speed):
+    """c in s/m of a contact that a mass, which meets it with a speed in m/s, leaves with restitution times the speed."""
+
+    def lost(a):  # x = c v of the way in, and of the way out with the opposite sign
+        return (a - math.log1p(a)) + (restitution * a + math.log1p(-restitution * a))
+
+    if restitution >= 1.0:
+        return 0.0
+    small = 1e-3 * (1.0 - restitution)
+    return float(scipy.optimize.brentq(lost, small, (1.0 - 1e-12) / restitution, xtol=1e-15)) / speed
+
+
+# ---------------------------------------------------------------- formulas: a number, or a text in brackets
+
+
+def _times(a, b):
+    if isinstance(a, str) and not isinstance(b, str):
+        a, b = b, a
+    if not isinstance(a, str):
+        if not isinstance(b, str):
+            return a * b
+        if a in (0.0, 1.0):
+            return b if a else 0.0
+        a = repr(float(a))
+    return f"({a}*{b})"
+
+
+def _plus(*terms):
+    number = sum(term for term in terms if not isinstance(term, str))
+    texts = [term for term in terms if isinstance(term, str)]
+    if not texts:
+        return number
+    return f"({' + '.join([*texts, *([repr(float(number))] if number else [])])})"
+
+
+def _minus(a, b):
+    return _plus(a, _times(-1.0, b))
+
+
+def _dot(a, b):
+    return _plus(*map(_times, a, b))
+
+
+def _scaled(number, vector):
+    return [_times(number, each) for each in vector]
+
+
+def _sum(*vectors):
+    return [_plus(*each) for each in zip(*vectors)]
+
+
+def _difference(a, b):
+    return [_minus(x, y) for x, y in zip(a, b)]
+
+
+def _cross(a, b):
+    return [_minus(_times(a[i], b[j]), _times(a[j], b[i])) for i, j in ((1, 2), (2, 0), (0, 1))]
+
+
+def _clip(value, low, high):
+    return f"clip({value}, {low!r}, {high!r})"
+
+
+class _Formulas:
+    """Formulas of the law of a contact."""
+
+    def __init__(self, name, numbers):
+        self._name, self._numbers = name, numbers
+        self._inputs, self._signals, self._states, self._outputs = {}, {}, {}, []
+        self._normals, self._depths = [], []
+
+    @property
+    def law(self):
+        """The Law. What others can read: the sum of the normal forces in N, and the largest depth in m."""
+        deepest = self._depths[0] if len(self._depths) == 1 else f"max({', '.join(self._depths)})"
+        shown = {"normal_force": _plus(*self._normals), "depth": deepest}
+        return Law.model_construct(
+            name=self._name,
+            inputs={name: LawInput(quantity=quantity, point=point) for (quantity, point), name in self._inputs.items()},
+            parameters=self._numbers,
+            states=self._states,
+            signals=self._signals | shown,
+            outputs=tuple(self._outputs),
+        )
+
+    def let(self, text):
+        """Name of a formula, which is evaluated once; a number stays one."""
+        if not isinstance(text, str) or text.isidentifier():
+            return text
+        name = f"_{len(self._signals)}"
+        self._signals[name] = text
+        return name
+
+    def _read(self, body, part, point):
+        key = f"{body}.{part}", point
+        return self._inputs.setdefault(key, f"_in{len(self._inputs)}")
+
+    def place(self, body, point):
+        """Position of a point of a body, world axes."""
+        return [self._read(body, part, tuple(map(float, point))) for part in "xyz"]
+
+    def rate(self, body, point):
+        """Its velocity, world axes."""
+        return [self._read(body, f"d{part}", tuple(map(float, point))) for part in "xyz"]
+
+    def spin(self, body):
+        """Angular velocity, world axes."""
+        return [self._read(body, f"o{part}", None) for part in "xyz"]
+
+    def press(self, depth, leaving, slips, axes):
+        """Force of a point of contact, world axes.
+
+        depth, leaving : m, and the speed in m/s with which it becomes smaller; slips : m/s, along the axes (k, 3)
+        axes : the normal, then two tangents; or None in place of these, for the world's axes
+        """
+        depth, leaving = self.let(depth), self.let(leaving)
+        self._depths.append(depth)
+        pushes = f"{depth} > 0 and damping*{leaving} < 1"
+        force = self.let(f"stiffness*{depth}*(1 - damping*{leaving}) if {pushes} else 0")
+        self._normals.append(force)
+        normal, tangents = axes
+        if "friction" not in self._numbers:
+            return _scaled(force, normal)
+        slips = [self.let(each) for each in slips]
+        first = len(self._states)
+        bristle = [f"_z{first + k}" for k in range(len(slips))]
+        bent = bristle
+        if tangents is None:  # what the normal has turned away no longer counts
+            along = self.let(_dot(normal, bristle))
+            bent = [self.let(each) for each in _difference(bristle, _scaled(along, normal))]
+        yields = self.let(f"max(2*{_dot(bent, bent)} - 1, 0)*max({_dot(bent, slips)}, 0)")
+        rates = [self.let(f"({speed} - {each}*{yields})/slip") for speed, each in zip(slips, bent)]
+        for name, rate in zip(bristle, rates):
+            text = f"{rate} if {pushes} else 0"
+            self._states[name] = LawState.model_construct(rate=text, update=None, start=0.0, scale=1.0)
+        bent = [self.let(f"{each} + settles*{rate}") for each, rate in zip(bent, rates)]
+        drag = self.let(f"-friction*{force}/sqrt(max({_dot(bent, bent)}, 1))")
+        across = bent if tangents is None else _sum(*(_scaled(b, axis) for b, axis in zip(bent, tangents)))
+        return _sum(_scaled(force, normal), _scaled(drag, across))
+
+    def act(self, body, point, force, arm):
+        """Let a force in world axes act on a body at `arm` from a point of the body."""
+        torque = [self.let(each) for each in _cross(arm, force)]
+        texts = [tuple(str(each) for each in vector) for vector in (torque, force)]
+        point = tuple(map(float, point))
+        self._outputs.append(
+            LawOutput.model_construct(body=body, torque=texts[0], force=texts[1], point=point, axes="world")
+        )
+
+
+def _ends(shape):
+    """Centres of the end faces of a shape along its z axis, m, in the body frame."""
+    half = 0.5 * shape.length * shape.rotation[:, 2]
+    return [np.array(shape.position) + sign * half for sign in (-1.0, 1.0)]
+
+
+def _corners(shape):
+    """Points of a shape that can touch a plane, and the radius around them, both in m."""
+    if shape.type == "sphere":
+        return [np.array(shape.position)], shape.radius
+    if shape.type == "capsule":
+        return _ends(shape), shape.radius
+    local = 0.5 * np.array(list(product(*((-s, s) for s in shape.size)))) if shape.type == "box" else shape.points
+    return np.array(shape.position) + np.array(local) @ shape.rotation.T, 0.0
+
+
+def _touch_plane(found, body, shape, axes, height):
+    """Contact of a body with a plane; axes (3, 3) : columns tangents and normal;  height : m, along the normal."""
+    (t, s, n), slides = axes.T.tolist(), "friction" in found._numbers
+    if shape.type in ("cylinder", "rod"):
+        for end in _ends(shape):
+            _touch_with_rim(found, body, shape, end, (n, (t, s)), height)
+        return found
+    points, radius = _corners(shape)
+    for point in points:
+        place, rate = found.place(body, point), found.rate(body, point)
+        slips = [_dot(t, rate), _dot(s, rate)]
+        if radius and slides:
+            spin = found.spin(body)
+            slips = [_minus(slips[0], _times(radius, _dot(s, spin))), _plus(slips[1], _times(radius, _dot(t, spin)))]
+        depth = _minus(radius + height, _dot(n, place))
+        force = found.press(depth, _dot(n, rate), slips, (n, (t, s)))
+        found.act(body, point, force, _scaled(-radius, n))
+    return found
+
+
+def _touch_with_rim(found, body, shape, end, axes, height):
+    """Contact of four points of the rim of a cylinder, the first of them the lowest one."""
+    n, tangents = axes
+    centre, speed, spin = found.place(body, end), found.rate(body, end), found.spin(body)
+    axis = _difference(found.place(body, end + shape.rotation[:, 2]), centre)
+    side = _difference(found.place(body, end + shape.rotation[:, 0]), centre)
+    down = _sum(_scaled(_dot(n, axis), axis), _scaled(-1.0, n), _scaled(STANDING, side))
+    down = [found.let(each) for each in down]
+    length = found.let(f"sqrt({_dot(down, down)})")
+    radial = [found.let(f"{each}/{length}") for each in down]
+    for arm in (radial, _cross(axis, radial)):
+        for sign in (shape.radius, -shape.radius):
+            to_point = [found.let(each) for each in _scaled(sign, arm)]
+            rate = [found.let(each) for each in _sum(speed, _cross(spin, to_point))]
+            depth = _minus(height, _dot(n, _sum(centre, to_point)))
+            force = found.press(depth, _dot(n, rate), [_dot(each, rate) for each in tangents], axes)
+            found.act(body, end, force, to_point)
+
+
+def _nearest(found, bodies, shapes):
+    """Nearest points of two segments of capsules; that of a sphere is its centre. World axes."""
+    first, second = ([found.place(body, end) for end in _skeleton(shape)] for body, shape in zip(bodies, shapes))
+    if len(first) == len(second) == 1:
+        return first[0], second[0]
+    along = [_difference(ends[-1], ends[0]) for ends in (first, second)]
+    along = [[found.let(each) for each in vector] for vector in along]
+    apart = [found.let(each) for each in _difference(first[0], second[0])]
+    a, b, e = (found.let(_dot(x, y)) for x, y in ((along[0], along[0]), (along[0], along[1]), (along[1], along[1])))
+    c, f = (found.let(_dot(vector, apart)) for vector in along)
+    if len(second) == 1:
+        s, t = _clip(f"(-{c}/{a})", 0.0, 1.0), 0.0
+    elif len(first) == 1:
+        s, t = 0.0, _clip(f"({f}/{e})", 0.0, 1.0)
+    else:  # Ericson, Real-Time Collision Detection, 5.1.9; parallel ones touch at one point
+        s = _clip(f"(({b}*{f} - {c}*{e})/max({a}*{e} - {b}*{b}, 1e-12*{a}*{e}))", 0.0, 1.0)
+        t = found.let(_clip(f"(({b}*{found.let(s)} + {f})/{e})", 0.0, 1.0))
+        s = _clip(f"(({b}*{t} - {c})/{a})", 0.0, 1.0)
+    return tuple(
+        [found.let(each) for each in _sum(ends[0], _scaled(found.let(part), vector))]
+        for ends, part, vector in zip((first, second), (s, t), along)
+    )
+
+
+def _skeleton(shape):
+    """Ends of the axis of a capsule, or the centre, in the body frame."""
+    return _ends(shape) if shape.type == "capsule" else [np.array(shape.position)]
+
+
+def _nearest_of_box(found, bodies, shapes):
+    """(centre of the sphere, nearest point of the box), world axes."""
+    (ball, box), (sphere, solid) = bodies, shapes
+    centre, middle = found.place(ball, sphere.position), found.place(box, solid.position)
+    apart = [found.let(each) for each in _difference(centre, middle)]
+    nearest = middle
+    for k, size in enumerate(solid.size):
+        axis = _difference(found.place(box, np.array(solid.position) + solid.rotation[:, k]), middle)
+        axis = [found.let(each) for each in axis]
+        nearest = _sum(nearest, _scaled(found.let(_clip(_dot(apart, axis), -0.5 * size, 0.5 * size)), axis))
+    return centre, [found.let(each) for each in nearest]
+
+
+def _touch_each_other(found, bodies, shapes):
+    """Contact of two bodies."""
+    if shapes[0].type == "box":
+        bodies, shapes = bodies[::-1], shapes[::-1]
+    nearest = _nearest_of_box if shapes[1].type == "box" else _nearest
+    mine, theirs = nearest(found, bodies, shapes)
+    radii = [getattr(shape, "radius", 0.0) for shape in shapes]
+    apart = [found.let(each) for each in _difference(mine, theirs)]
+    length = found.let(f"sqrt({_dot(apart, apart)})")
+    normal = [found.let(f"{each}/{length}") for each in apart]
+    depth = found.let(_minus(sum(radii), length))
+    # In the middle of the region that both would occupy.
+    middle = _sum(mine, _scaled(found.let(_minus(_times(0.5, depth), radii[0])), normal))
+    middle = [found.let(each) for each in middle]
+    arms, speeds = [], []
+    for body, shape in zip(bodies, shapes):
+        arm = [found.let(each) for each in _difference(middle, found.place(body, shape.position))]
+        arms.append(arm)
+        speeds.append(_sum(found.rate(body, shape.position), _cross(found.spin(body), arm)))
+    speed = [found.let(each) for each in _difference(*speeds)]
+    leaving = found.let(_dot(normal, speed))
+    slips = _difference(speed, _scaled(leaving, normal))
+    force = [found.let(each) for each in found.press(depth, leaving, slips, (normal, None))]
+    for body, shape, arm, sign in zip(bodies, shapes, arms, (1.0, -1.0)):
+        found.act(body, shape.position, _scaled(sign, force), arm)
+    return found
