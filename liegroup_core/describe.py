@@ -103,7 +103,7 @@ def describe(layout):
         ],
         "forces": [
             {"name": force.name, "type": force.type, "on": _acts_on(force)}
-            | ({"signals": force.law.shown} if hasattr(force, "law") else {})
+            | ({"signals": force.as_law.shown} if hasattr(force, "as_law") else {})
             for force in scene.forces
         ],
         "sensors": [{"name": sensor.name, "type": sensor.type, "on": _acts_on(sensor)} for sensor in scene.sensors],
@@ -285,8 +285,8 @@ def _direction(normal):
 
 def _acts_on(force):
     """Names of the two ends of a force, of its joint or its body, or of all joints and bodies that a law acts on."""
-    if hasattr(force, "law"):
-        force = force.law
+    if hasattr(force, "as_law"):
+        force = force.as_law
         return list(dict.fromkeys(each.joint or each.body for each in force.outputs))
     if hasattr(force, "joint"):
         return [force.joint]

@@ -203,7 +203,7 @@ class Contact(Force):
         return found
 
     @cached_property
-    def law(self):
+    def as_law(self):
         """Law with its formulas, once it is complete."""
         found = _Formulas(self.name, self.numbers)
         shapes, _, _ = self._given
@@ -237,7 +237,7 @@ def _contact_shape(shape, moved):
 
 
 def damping_of(restitution, speed):
-    """c in s/m of a contact that a mass, which meets it with a speed in m/s, leaves with restitution times the speed."""
+    """c in s/m of a contact that a mass meets with a speed in m/s, and leaves with restitution times this speed."""
 
     def lost(a):  # x = c v of the way in, and of the way out with the opposite sign
         return (a - math.log1p(a)) + (restitution * a + math.log1p(-restitution * a))

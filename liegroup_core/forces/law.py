@@ -185,8 +185,8 @@ class LawInput(Described):
 
     quantity: Text = Field(
         description="JOINT.position or JOINT.velocity of a joint with one coordinate; BODY.x y z (world axes), "
-        "dx dy dz (their rates), ox oy oz (angular velocity, world axes), qx qy qz qw, wx wy wz or vx vy vz (body axes) "
-        "of a body; SENSOR.0 .. of a sensor, but no accelerations and wrenches, and only with a period if it has noise "
+        "dx dy dz (their rates), ox oy oz (angular velocity, world axes), qx qy qz qw, wx wy wz or vx vy vz (body "
+        "axes) of a body; SENSOR.0 .. of a sensor, but no accelerations and wrenches, and only with a period if it has noise "
         "or a resolution; LAW.SIGNAL or LAW.STATE of an earlier law"
     )
     point: Vector3 | None = Field(
@@ -314,7 +314,7 @@ class Law(Force):
         return self
 
     @property
-    def law(self):
+    def as_law(self):
         """Itself, see `laws_of`."""
         return self
 
@@ -467,7 +467,7 @@ def refuse_law(law, bodies, moves, earlier, sensors, servos, i):
 
 def laws_of(described):
     """Laws among the forces of a scene, and those of contacts."""
-    return [force.law for force in described if hasattr(force, "law")]
+    return [force.as_law for force in described if hasattr(force, "as_law")]
 
 
 def unwrapped_inputs(described, turning, sensors=()):

@@ -236,7 +236,7 @@ def body_groups(scene):
         own = [getattr(sensor, key) for key in ("body", "child") if hasattr(sensor, key)]
         child_of[sensor.name] = own[0] if own else child_of[sensor.joint]
     for force in scene.forces:
-        if hasattr(force, "law"):  # it connects all that it reads and acts on
+        if hasattr(force, "as_law"):  # it connects all that it reads and acts on
             bodies = [name for name in force.on_bodies(child_of) if name in label]
             pairs += zip(bodies, bodies[1:])
     pairs += [(child_of[entry.joint], child_of[other]) for entry in scene.couplings for other in entry.others]

@@ -75,7 +75,7 @@ class PeriodicLaw(NamedTuple):
 
 def laws_of(scene):
     """Laws of a scene."""
-    return [force.law for force in scene.forces if hasattr(force, "law")]
+    return [force.as_law for force in scene.forces if hasattr(force, "as_law")]
 
 
 def angles_of(scene, joints):

@@ -247,7 +247,7 @@ class Scene(Described):
                 except SceneError as error:
                     where = f'forces[{i}] "{link.name}": {error}'
                     raise SceneError(where, place=("forces", i, *(error.place or ()))) from None
-                signals += [f"{link.name}.{name}" for name in link.law.shown]
+                signals += [f"{link.name}.{name}" for name in link.as_law.shown]
             elif link.type == "law":
                 refuse_law(link, bodies, moves, signals, self.sensors, servos, i)
                 led = [each.servo for each in link.outputs if each.servo is not None]
