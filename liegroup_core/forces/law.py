@@ -51,7 +51,20 @@ from .described import Force
 from .formulas import RESERVED, TIME, FormulaError, Program, differentiate, evaluate, names_in, table_arrays
 from .instants import exact_seconds
 from .points import point, point_velocity, turning
-from .readings import ATTITUDE, DISTANCE_RATE, PLACE, POINTS, POSITION, RATE, SPEED, SPIN, names_of, reading, varies
+from .readings import (
+    ATTITUDE,
+    DISTANCE_RATE,
+    PLACE,
+    POINTS,
+    POSITION,
+    RATE,
+    SPEED,
+    SPIN,
+    names_of,
+    number_of,
+    reading,
+    varies,
+)
 
 INPUT = np.dtype(
     [  # see readings.Reading
@@ -153,8 +166,9 @@ class LawInput(Described):
 
     quantity: Text = Field(
         description="JOINT.position or JOINT.velocity of a joint with one coordinate; BODY.x y z (world axes), "
-        "qx qy qz qw, wx wy wz or vx vy vz (body axes) of a body; SENSOR.0 .. of a sensor, but no accelerations and "
-        "wrenches, and only with a period if it has noise or a resolution; LAW.SIGNAL or LAW.STATE of an earlier law"
+        "qx qy qz qw, wx wy wz or vx vy vz (body axes) of a body; SENSOR.PART of a sensor, such as imu.wx, but no "
+        "accelerations and wrenches, and only with a period if it has noise or a resolution; LAW.SIGNAL or LAW.STATE "
+        "of an earlier law"
     )
     point: Vector3 | None = Field(
         None, description="point of the body in m, in its frame, for its x y z vx vy vz; default: its origin"
@@ -404,7 +418,7 @@ def refuse_law(law, bodies, moves, earlier, sensors, servos, i):
                 f"{where}inputs.{name}: {each.quantity!r:.60} is no quantity of a law; {hint}", place=place
             )
         owner, _, part = each.quantity.rpartition(".")
-        if owner in named and law.period is None and varies(named[owner], int(part)):
+        if owner in named and law.period is None and varies(named[owner], number_of(named[owner], part)):
             raise SceneError(
                 f"{where}inputs.{name}: {each.quantity} has noise or a resolution: give the law a period", place=place
             )
@@ -543,7 +557,7 @@ def sampled_laws(described, sensors=()):
         for name, each in law.inputs.items():
             owner, _, part = each.quantity.rpartition(".")
             if owner in sensors and hasattr(sensors[owner], "noise_at"):
-                noisy.append((compiled.inputs[name], sensors[owner], int(part)))
+                noisy.append((compiled.inputs[name], sensors[owner], number_of(sensors[owner], part)))
         registers = np.array(sampled.found, dtype=np.int64)
         found.append(SampledLaw(law, first, *parts, registers, outputs, delayed, noisy))
         first += len(sampled.held) + delayed * outputs

@@ -2,7 +2,7 @@
 """What laws can read: quantities of the catalogue that follow from positions and velocities, and their derivatives.
 
 A quantity is OWNER.PART, with the names of observables/quantities.py. TABLE has those of joints and bodies, OF_SENSOR
-the numbers of each type of sensor, in their order; None for one that depends on accelerations. A Reading says what it
+the numbers of each type of sensor, in their order, None for one that depends on accelerations. A Reading says what it
 is, in terms that the kernels of law.py evaluate and differentiate.
 """
 
@@ -99,7 +99,7 @@ def reading(quantity, joints, sensors, point=None):
     """
     owner, _, part = quantity.rpartition(".")
     if owner in sensors:
-        return readings_of(sensors[owner])[int(part)]
+        return readings_of(sensors[owner])[number_of(sensors[owner], part)]
     if owner in joints and part in TABLE["joint"]:
         return TABLE["joint"][part]._replace(joint=owner)
     found = TABLE["body"][part]._replace(body=owner)
@@ -111,8 +111,15 @@ def names_of(bodies, moves, sensors):
     names = [f"{joint}.{part}" for joint in moves for part in TABLE["joint"]]
     names += [f"{body}.{part}" for body in bodies for part in TABLE["body"]]
     for each in sensors:
-        names += [f"{each.name}.{k}" for k, row in enumerate(readings_of(each)) if row is not None]
+        numbers = [k for k, row in enumerate(readings_of(each)) if row is not None]
+        names += [f"{each.name}.{each.parts[k].partition(' [')[0]}" for k in numbers]
+        names += [f"{each.name}.{k}" for k in numbers]
     return names
+
+
+def number_of(sensor, part):
+    """Place of a number of a sensor, by this place or by what it is, such as wx of an IMU."""
+    return int(part) if part.isdigit() else [text.partition(" [")[0] for text in sensor.parts].index(part)
 
 
 def varies(sensor, number):
