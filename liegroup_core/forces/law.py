@@ -14,7 +14,7 @@ States have a start and a rate, a formula that may use all signals. A state is t
 order, error control and derivatives. After a step its value is kept behind the unwrapped angles.
 
 All laws of a scene are one program, evaluated once a stage. Its registers are memory of a run; the first is the time,
-the next ones say which number was not finite last.
+the next ones say which number was not finite last, and have the time of formulas.
 
 A law with a period is evaluated at exact instants, by instructions of its own (sampled.py). Its signals and outputs are
 numbers that are held in between: they are kept behind the unwrapped angles, before the states.
@@ -63,6 +63,7 @@ OUTPUT = np.dtype(
 )
 ORIGIN = (0.0, 0.0, 0.0)
 WITNESS = 1  # register of the last result that was not finite: its number from 1 on, and the time
+LAW_TIME = 3  # register of the time in formulas
 CAUSE = 2  # the next one: number of the first signal that was not finite then, 0 for none, and the value of the result
 MOST_PERIODS = 1000  # of a delay
 NO_AXIS = axis.fields(False, -1, -1, np.eye(4), np.eye(4))
@@ -86,6 +87,7 @@ class Laws(Struct):
     start: np.ndarray  # (h + s,) held numbers and states at the start
     scales: np.ndarray  # (s,) magnitudes, to which the absolute tolerance of error control refers
     registers: np.ndarray  # (m, 2) at the start: value, derivative
+    late: np.ndarray  # (1,) s by which the time of the run is later than that of formulas
     timed: bool  # whether any depends on the time
 
 
@@ -270,7 +272,7 @@ class Law(Force):
         for name, each in self.inputs.items():
             inputs[name] = others[each.quantity] if each.quantity in others else program.new()
         states = {name: program.new(each.start) for name, each in self.states.items()}
-        names = {TIME: 0} | inputs | states
+        names = {TIME: LAW_TIME} | inputs | states
         names |= {name: program.new(value) for name, value in self.parameters.items()}
         tables = {name: program.table(each.x, each.y) for name, each in self.tables.items()}
         signals, key = {}, "rate" if self.period is None else "update"
@@ -427,7 +429,7 @@ def signals_of(described):
 
 def _compile_all(described):
     program, signals, found = Program(), {}, []
-    program.new(), program.new()  # WITNESS, CAUSE
+    program.new(), program.new(), program.new()  # WITNESS, CAUSE, LAW_TIME
     for law in laws_of(described):
         found.append((law, law.compile(program, signals)))
         signals |= {f"{law.name}.{name}": register for name, register in found[-1][1].shown.items()}
@@ -592,13 +594,15 @@ def make_laws(described, index, ends, angles, slides, first, sensors=()):
         start=np.array([*start, *(each.start for _, each in states_of(described))], dtype=float),
         scales=np.array([each.scale for _, each in states_of(described)]),
         registers=registers,
+        late=np.zeros(1),
         timed=any(law.uses_time for law in laws_of(described)),
     )
 
 
 @kernel
 def _read(laws, angle, pose, twist, registers):
-    """Write the values of all inputs to their registers, and the numbers that are held."""
+    """Write the time, the values of all inputs and the numbers that are held to their registers."""
+    registers[LAW_TIME, 0] = registers[0, 0] - laws.late[0]
     for j in range(len(laws.held)):
         if laws.held[j] >= 0:
             registers[laws.held[j], 0] = angle[laws.first + j]
@@ -659,7 +663,7 @@ def _note_undefined(laws, registers):
     for j in range(len(laws.results) - 1, -1, -1):
         total = registers[laws.results[j], 0]
         if total - total != 0.0:
-            registers[WITNESS, 0], registers[WITNESS, 1], registers[CAUSE, 1] = j + 1.0, registers[0, 0], total
+            registers[WITNESS, 0], registers[WITNESS, 1], registers[CAUSE, 1] = j + 1.0, registers[LAW_TIME, 0], total
     registers[CAUSE, 0] = 0.0
     for j in range(len(laws.signals) - 1, -1, -1):
         total = registers[laws.signals[j], 0]
