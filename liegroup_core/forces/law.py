@@ -14,8 +14,9 @@ States have a start and a rate, a formula that may use all signals. A state is t
 order, error control and derivatives. After a step its value is kept behind the unwrapped angles.
 
 All laws of a scene are one program, evaluated once a stage. Its registers are memory of a run; the first is the time,
-the next ones say which number was not finite last. Where a comparison, min, max, abs or table changes its branch is an
-event, which methods with error control locate (events/crossings.py); other methods take the branch of each stage.
+the next ones say which number was not finite last, and have the time of formulas.
+Where a comparison, min, max, abs or table changes its branch is an event, which methods with error control locate
+(events/crossings.py); other methods take the branch of each stage.
 
 A law with a period is evaluated at exact instants, by instructions of its own (sampled.py). Its signals and outputs are
 numbers that are held in between: they are kept behind the unwrapped angles, before the states.
@@ -44,8 +45,7 @@ from liegroup_core.fields.values import (
     place_text,
     suggestion,
 )
-from liegroup_core.lie.so3 import so3_to_quaternion
-from liegroup_core.lie.vec3 import add3, cross3, dot3, load3, load9, matmul3, matrix3, sub3, tmatvec3, vector3
+from liegroup_core.lie.vec3 import add3, cross3, dot3, load3, load9, tmatvec3, vector3
 
 from . import axis
 from .described import Force
@@ -67,41 +67,8 @@ from .formulas import (
     table_arrays,
 )
 from .instants import exact_seconds
-from .points import point, point_velocity, turning
-from .readings import (
-    ATTITUDE,
-    DISTANCE_RATE,
-    PLACE,
-    PLACE_RATE,
-    POINTS,
-    POSITION,
-    RATE,
-    SPEED,
-    SPIN,
-    WORLD_SPIN,
-    names_of,
-    reading,
-    varies,
-)
+from .readings import INPUT, POINTS, input_row, names_of, number_of, read_all, read_changes, reading, varies
 
-INPUT = np.dtype(
-    [  # see readings.Reading
-        ("what", "i8"),
-        ("component", "i8"),
-        ("to", "i8"),  # register
-        ("body", "i8"),
-        ("other", "i8"),
-        ("point", "f8", (3,)),
-        ("other_point", "f8", (3,)),
-        ("axes", "f8", (9,)),
-        ("direction", "f8", (3,)),
-        ("offset", "f8"),
-        ("resolution", "f8"),
-        ("angle", "i8"),  # index of the unwrapped angle, or -1
-        *axis.FIELDS,
-    ],
-    align=True,
-)
 OUTPUT = np.dtype(
     [
         ("body", "i8"),  # -1: an effort of a joint
@@ -114,6 +81,7 @@ OUTPUT = np.dtype(
 )
 ORIGIN = (0.0, 0.0, 0.0)
 WITNESS = 1  # register of the last result that was not finite: its number from 1 on, and the time
+LAW_TIME = 3  # register of the time in formulas
 CAUSE = 2  # the next one: number of the first signal that was not finite then, 0 for none, and the value of the result
 MOST_PERIODS = 1000  # of a delay
 NO_AXIS = axis.fields(False, -1, -1, np.eye(4), np.eye(4))
@@ -138,6 +106,7 @@ class Laws(Struct):
     start: np.ndarray  # (h + s,) held numbers and states at the start
     scales: np.ndarray  # (s,) magnitudes, to which the absolute tolerance of error control refers
     registers: np.ndarray  # (m, 2) at the start: value, derivative
+    late: np.ndarray  # (1,) s by which the time of the run is later than that of formulas
     timed: bool  # whether any depends on the time
 
 
@@ -186,8 +155,8 @@ class LawInput(Described):
     quantity: Text = Field(
         description="JOINT.position or JOINT.velocity of a joint with one coordinate; BODY.x y z (world axes), "
         "dx dy dz (their rates), ox oy oz (angular velocity, world axes), qx qy qz qw, wx wy wz or vx vy vz (body "
-        "axes) of a body; SENSOR.0 .. of a sensor, but no accelerations and wrenches, and only with a period if it has noise "
-        "or a resolution; LAW.SIGNAL or LAW.STATE of an earlier law"
+        "axes) of a body; SENSOR.PART of a sensor, such as imu.wx, but no accelerations and wrenches, and only with a "
+        "period if it has noise or a resolution; LAW.SIGNAL or LAW.STATE of an earlier law"
     )
     point: Vector3 | None = Field(
         None, description="point of the body in m, in its frame, for its x y z dx dy dz vx vy vz; default: its origin"
@@ -332,7 +301,7 @@ class Law(Force):
         for name, each in self.inputs.items():
             inputs[name] = others[each.quantity] if each.quantity in others else program.new()
         states = {name: program.new(each.start) for name, each in self.states.items()}
-        names = {TIME: 0} | inputs | states
+        names = {TIME: LAW_TIME} | inputs | states
         names |= {name: program.new(value) for name, value in self.parameters.items()}
         tables = {name: program.table(each.x, each.y) for name, each in self.tables.items()}
         signals, key = {}, "rate" if self.period is None else "update"
@@ -447,7 +416,7 @@ def refuse_law(law, bodies, moves, earlier, sensors, servos, i):
                 f"{where}inputs.{name}: {each.quantity!r:.60} is no quantity of a law; {hint}", place=place
             )
         owner, _, part = each.quantity.rpartition(".")
-        if owner in named and law.period is None and varies(named[owner], int(part)):
+        if owner in named and law.period is None and varies(named[owner], number_of(named[owner], part)):
             raise SceneError(
                 f"{where}inputs.{name}: {each.quantity} has noise or a resolution: give the law a period", place=place
             )
@@ -489,7 +458,7 @@ def signals_of(described):
 
 def _compile_all(described):
     program, signals, found = Program(), {}, []
-    program.new(), program.new()  # WITNESS, CAUSE
+    program.new(), program.new(), program.new()  # WITNESS, CAUSE, LAW_TIME
     for law in laws_of(described):
         found.append((law, law.compile(program, signals)))
         program.owners += [law.name] * (len(program.code) - len(program.owners))
@@ -592,7 +561,7 @@ def sampled_laws(described, sensors=()):
         for name, each in law.inputs.items():
             owner, _, part = each.quantity.rpartition(".")
             if owner in sensors and hasattr(sensors[owner], "noise_at"):
-                noisy.append((compiled.inputs[name], sensors[owner], int(part)))
+                noisy.append((compiled.inputs[name], sensors[owner], number_of(sensors[owner], part)))
         registers = np.array(sampled.found, dtype=np.int64)
         found.append(SampledLaw(law, first, *parts, registers, outputs, delayed, noisy))
         first += len(sampled.held) + delayed * outputs
@@ -632,11 +601,8 @@ def make_laws(described, index, ends, angles, slides, first, sensors=()):
             if each.quantity in signals:
                 continue
             found = reading(each.quantity, ends, sensors, each.point)
-            bodies = [index[body] if body else -1 for body in (found.body, found.other)]
-            where = found.point, found.other_point, np.ravel(found.axes), found.direction
             motion = axis.fields(found.joint in slides, *ends[found.joint]) if found.joint else NO_AXIS
-            row = found.what, found.component, compiled.inputs[name], *bodies, *where
-            inputs.append((*row, found.offset, found.resolution, angles.get(found.joint, -1), *motion))
+            inputs.append(input_row(found, compiled.inputs[name], index, angles, motion))
         for each, own in zip(law.outputs, compiled.outputs):
             if each.joint is not None:
                 motion = axis.fields(each.joint in slides, *ends[each.joint])
@@ -664,6 +630,7 @@ def make_laws(described, index, ends, angles, slides, first, sensors=()):
         start=np.array([*start, *(each.start for _, each in states_of(described))], dtype=float),
         scales=np.array([each.scale for _, each in states_of(described)]),
         registers=registers,
+        late=np.zeros(1),
         timed=any(law.uses_time for law in laws_of(described)),
     )
 
@@ -688,139 +655,13 @@ def next_branch(laws, branch, k, above):
 
 
 @kernel
-def _velocity(row, twist):
-    """Velocity of the point of an input in the axes of its body."""
-    body = row["body"]
-    return add3(load3(twist, body, 3), cross3(load3(twist, body, 0), vector3(row["point"])))
-
-
-@kernel
-def _apart(row, pose):
-    """Vector from the point of the parent to that of the child, world axes, and its length."""
-    begin = point(pose, row["body"], vector3(row["point"]))
-    apart = sub3(point(pose, row["other"], vector3(row["other_point"])), begin)
-    return apart, math.sqrt(dot3(apart, apart))
-
-
-@kernel
-def _apart_rate(row, pose, twist):
-    """Rate of this vector; for moves in place of the twist, its displacement."""
-    begin = point_velocity(pose, twist, row["body"], vector3(row["point"]))
-    return sub3(point_velocity(pose, twist, row["other"], vector3(row["other_point"])), begin)
-
-
-@kernel
-def _point_change(row, pose, twist, moves, rates, is_child):
-    """Change of the velocity of the point of the child or parent along displacements, world axes."""
-    body, place = row["body"], vector3(row["point"])
-    if is_child:
-        body, place = row["other"], vector3(row["other_point"])
-    return add3(
-        point_velocity(pose, rates, body, place),
-        cross3(turning(pose, moves, body), point_velocity(pose, twist, body, place)),
-    )
-
-
-@kernel
-def _over(a, length):
-    """Quotient by a length; NaN for zero."""
-    return a / length if length > 0.0 else math.nan
-
-
-@kernel
-def _turned(q, turn, k):
-    """Component k of the derivative of a quaternion (x, y, z, w) along a rotation vector in body axes."""
-    x, y, z, w = q
-    if k == 0:
-        return 0.5 * (w * turn[0] + y * turn[2] - z * turn[1])
-    if k == 1:
-        return 0.5 * (w * turn[1] + z * turn[0] - x * turn[2])
-    if k == 2:
-        return 0.5 * (w * turn[2] + x * turn[1] - y * turn[0])
-    return -0.5 * (x * turn[0] + y * turn[1] + z * turn[2])
-
-
-@kernel
 def _read(laws, angle, pose, twist, registers):
-    """Write the values of all inputs to their registers, and the numbers that are held."""
+    """Write the time, the values of all inputs and the numbers that are held to their registers."""
+    registers[LAW_TIME, 0] = registers[0, 0] - laws.late[0]
     for j in range(len(laws.held)):
         if laws.held[j] >= 0:
             registers[laws.held[j], 0] = angle[laws.first + j]
-    _read_inputs(laws.inputs, angle, pose, twist, registers)
-
-
-@kernel
-def _read_inputs(inputs, angle, pose, twist, registers):
-    for e in range(len(inputs)):
-        row = inputs[e]
-        what, k, body, value = row["what"], row["component"], row["body"], row["offset"]
-        if what == POSITION:
-            value = axis.coordinate(row, pose, angle[row["angle"]] if row["angle"] >= 0 else 0.0)
-        elif what == RATE:
-            value = axis.rate(row, axis.unit_wrenches(row, pose), twist)
-        elif what == PLACE:
-            value = point(pose, body, vector3(row["point"]))[k]
-        elif what == ATTITUDE:
-            value = so3_to_quaternion(matmul3(load9(pose, body, 0), matrix3(row["axes"])))[k]
-        elif what == SPIN:
-            value += dot3(vector3(row["direction"]), load3(twist, body, 0))
-        elif what == SPEED:
-            value += dot3(vector3(row["direction"]), _velocity(row, twist))
-        elif what == PLACE_RATE:
-            value = point_velocity(pose, twist, body, vector3(row["point"]))[k]
-        elif what == WORLD_SPIN:
-            value = turning(pose, twist, body)[k]
-        else:
-            apart, length = _apart(row, pose)
-            value = length
-            if what == DISTANCE_RATE:
-                value = _over(dot3(apart, _apart_rate(row, pose, twist)), length)
-        if row["resolution"] > 0.0:
-            value = row["resolution"] * math.floor(value / row["resolution"])
-        registers[row["to"], 0] = value
-
-
-@kernel
-def _read_changes(laws, pose, twist, moves, rates, registers):
-    """Write the derivatives of all inputs along displacements, see kinds.add_changes; returns whether any changes."""
-    changes = False
-    for e in range(len(laws.inputs)):
-        row = laws.inputs[e]
-        what, k, body, value = row["what"], row["component"], row["body"], 0.0
-        if what == POSITION:
-            value = axis.rate(row, axis.unit_wrenches(row, pose), moves)
-        elif what == RATE:
-            value = axis.rate_change(row, axis.unit_wrenches(row, pose), pose, twist, moves, rates)
-        elif what == PLACE:
-            value = point_velocity(pose, moves, body, vector3(row["point"]))[k]
-        elif what == ATTITUDE:
-            axes = matrix3(row["axes"])
-            q = so3_to_quaternion(matmul3(load9(pose, body, 0), axes))
-            value = _turned(q, tmatvec3(axes, load3(moves, body, 0)), k)
-        elif what == SPIN:
-            value = dot3(vector3(row["direction"]), load3(rates, body, 0))
-        elif what == SPEED:
-            value = dot3(vector3(row["direction"]), _velocity(row, rates))
-        elif what == PLACE_RATE:
-            value = _point_change(row, pose, twist, moves, rates, False)[k]
-        elif what == WORLD_SPIN:
-            turned = cross3(turning(pose, moves, body), turning(pose, twist, body))
-            value = add3(turning(pose, rates, body), turned)[k]
-        else:
-            apart, length = _apart(row, pose)
-            moved = _apart_rate(row, pose, moves)
-            if length > 0.0:
-                value = dot3(apart, moved) / length
-                if what == DISTANCE_RATE:
-                    rate = _apart_rate(row, pose, twist)
-                    change = sub3(
-                        _point_change(row, pose, twist, moves, rates, True),
-                        _point_change(row, pose, twist, moves, rates, False),
-                    )
-                    value = (dot3(moved, rate) + dot3(apart, change) - value * dot3(apart, rate) / length) / length
-        registers[row["to"], 1] = value
-        changes = changes or value != 0.0
-    return changes
+    read_all(laws.inputs, angle, pose, twist, registers)
 
 
 @kernel
@@ -976,7 +817,7 @@ def _note_undefined(laws, registers):
     for j in range(len(laws.results) - 1, -1, -1):
         total = registers[laws.results[j], 0]
         if total - total != 0.0:
-            registers[WITNESS, 0], registers[WITNESS, 1], registers[CAUSE, 1] = j + 1.0, registers[0, 0], total
+            registers[WITNESS, 0], registers[WITNESS, 1], registers[CAUSE, 1] = j + 1.0, registers[LAW_TIME, 0], total
     registers[CAUSE, 0] = 0.0
     for j in range(len(laws.signals) - 1, -1, -1):
         total = registers[laws.signals[j], 0]
@@ -988,7 +829,7 @@ def _note_undefined(laws, registers):
 def read(laws, inputs, angle, pose, twist, registers):
     """As `measure`, then write the values of the inputs of a sampled law."""
     measure(laws, angle, pose, twist, registers)
-    _read_inputs(inputs, angle, pose, twist, registers)
+    read_all(inputs, angle, pose, twist, registers)
 
 
 @kernel
@@ -1030,7 +871,7 @@ def power(laws, registers, pose, twist):
 def measure_changes(laws, angle, pose, twist, moves, rates, registers):
     """As `measure`, also the derivatives along displacements, see kinds.add_changes."""
     _read(laws, angle, pose, twist, registers)
-    _read_changes(laws, pose, twist, moves, rates, registers)
+    read_changes(laws.inputs, pose, twist, moves, rates, registers)
     differentiate(laws.code, laws.tables, laws.points, registers)
     if _open_branches(laws, registers, 1):
         differentiate(laws.code, laws.tables, laws.points, registers)

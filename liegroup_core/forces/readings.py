@@ -2,17 +2,45 @@
 """What laws can read: quantities of the catalogue that follow from positions and velocities, and their derivatives.
 
 A quantity is OWNER.PART, with the names of observables/quantities.py. TABLE has those of joints and bodies, OF_SENSOR
-the numbers of each type of sensor, in their order; None for one that depends on accelerations. A Reading says what it
-is, in terms that the kernels of law.py evaluate and differentiate.
+the numbers of each type of sensor, in their order, None for one that depends on accelerations. A Reading says what it
+is, in terms that the kernels here evaluate and differentiate.
 """
 
+import math
 from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
 
+from liegroup_core.compiling import kernel
+from liegroup_core.lie.so3 import so3_to_quaternion
+from liegroup_core.lie.vec3 import add3, cross3, dot3, load3, load9, matmul3, matrix3, sub3, tmatvec3, vector3
+
+from . import axis
+from .points import point, point_velocity, turning
+
 POSITION, RATE, PLACE, ATTITUDE, SPIN, SPEED, PLACE_RATE, WORLD_SPIN, DISTANCE, DISTANCE_RATE = range(10)  # what it is
 ORIGIN, UNIT = (0.0, 0.0, 0.0), np.eye(3)
+
+
+INPUT = np.dtype(
+    [  # see Reading
+        ("what", "i8"),
+        ("component", "i8"),
+        ("to", "i8"),  # register
+        ("body", "i8"),
+        ("other", "i8"),
+        ("point", "f8", (3,)),
+        ("other_point", "f8", (3,)),
+        ("axes", "f8", (9,)),
+        ("direction", "f8", (3,)),
+        ("offset", "f8"),
+        ("resolution", "f8"),
+        ("angle", "i8"),  # index of the unwrapped angle, or -1
+        *axis.FIELDS,
+    ],
+    align=True,
+)
 
 
 class Reading(NamedTuple):
@@ -101,7 +129,7 @@ def reading(quantity, joints, sensors, point=None):
     """
     owner, _, part = quantity.rpartition(".")
     if owner in sensors:
-        return readings_of(sensors[owner])[int(part)]
+        return readings_of(sensors[owner])[number_of(sensors[owner], part)]
     if owner in joints and part in TABLE["joint"]:
         return TABLE["joint"][part]._replace(joint=owner)
     found = TABLE["body"][part]._replace(body=owner)
@@ -113,11 +141,154 @@ def names_of(bodies, moves, sensors):
     names = [f"{joint}.{part}" for joint in moves for part in TABLE["joint"]]
     names += [f"{body}.{part}" for body in bodies for part in TABLE["body"]]
     for each in sensors:
-        names += [f"{each.name}.{k}" for k, row in enumerate(readings_of(each)) if row is not None]
+        numbers = [k for k, row in enumerate(readings_of(each)) if row is not None]
+        names += [f"{each.name}.{each.parts[k].partition(' [')[0]}" for k in numbers]
+        names += [f"{each.name}.{k}" for k in numbers]
     return names
+
+
+def number_of(sensor, part):
+    """Place of a number of a sensor, by this place or by what it is, such as wx of an IMU."""
+    return int(part) if part.isdigit() else [text.partition(" [")[0] for text in sensor.parts].index(part)
 
 
 def varies(sensor, number):
     """Whether a number of a sensor has noise or a resolution: then only a law with a period can read it."""
     noise = getattr(sensor, "noise", ())
     return number < len(noise) and noise[number] > 0.0 or getattr(sensor, "resolution", None) is not None
+
+
+def input_row(found, to, index, angles, motion):
+    """Record of INPUT of a Reading.
+
+    to : register;  index : {body: number};  angles : {joint: index of its angle};  motion : axis.fields of its joint
+    """
+    bodies = [index[body] if body else -1 for body in (found.body, found.other)]
+    where = found.point, found.other_point, np.ravel(found.axes), found.direction
+    row = found.what, found.component, to, *bodies, *where, found.offset, found.resolution
+    return *row, angles.get(found.joint, -1), *motion
+
+
+@kernel
+def _velocity(row, twist):
+    """Velocity of the point of an input in the axes of its body."""
+    body = row["body"]
+    return add3(load3(twist, body, 3), cross3(load3(twist, body, 0), vector3(row["point"])))
+
+
+@kernel
+def _apart(row, pose):
+    """Vector from the point of the parent to that of the child, world axes, and its length."""
+    begin = point(pose, row["body"], vector3(row["point"]))
+    apart = sub3(point(pose, row["other"], vector3(row["other_point"])), begin)
+    return apart, math.sqrt(dot3(apart, apart))
+
+
+@kernel
+def _apart_rate(row, pose, twist):
+    """Rate of this vector; for moves in place of the twist, its displacement."""
+    begin = point_velocity(pose, twist, row["body"], vector3(row["point"]))
+    return sub3(point_velocity(pose, twist, row["other"], vector3(row["other_point"])), begin)
+
+
+@kernel
+def _point_change(row, pose, twist, moves, rates, is_child):
+    """Change of the velocity of the point of the child or parent along displacements, world axes."""
+    body, place = row["body"], vector3(row["point"])
+    if is_child:
+        body, place = row["other"], vector3(row["other_point"])
+    return add3(
+        point_velocity(pose, rates, body, place),
+        cross3(turning(pose, moves, body), point_velocity(pose, twist, body, place)),
+    )
+
+
+@kernel
+def _over(a, length):
+    """Quotient by a length; NaN for zero."""
+    return a / length if length > 0.0 else math.nan
+
+
+@kernel
+def _turned(q, turn, k):
+    """Component k of the derivative of a quaternion (x, y, z, w) along a rotation vector in body axes."""
+    x, y, z, w = q
+    if k == 0:
+        return 0.5 * (w * turn[0] + y * turn[2] - z * turn[1])
+    if k == 1:
+        return 0.5 * (w * turn[1] + z * turn[0] - x * turn[2])
+    if k == 2:
+        return 0.5 * (w * turn[2] + x * turn[1] - y * turn[0])
+    return -0.5 * (x * turn[0] + y * turn[1] + z * turn[2])
+
+
+@kernel
+def read_all(inputs, angle, pose, twist, registers):
+    """Write the values of inputs (k,) to their registers; angle : (a,) rad, unwrapped angles after the last step."""
+    for e in range(len(inputs)):
+        row = inputs[e]
+        what, k, body, value = row["what"], row["component"], row["body"], row["offset"]
+        if what == POSITION:
+            value = axis.coordinate(row, pose, angle[row["angle"]] if row["angle"] >= 0 else 0.0)
+        elif what == RATE:
+            value = axis.rate(row, axis.unit_wrenches(row, pose), twist)
+        elif what == PLACE:
+            value = point(pose, body, vector3(row["point"]))[k]
+        elif what == ATTITUDE:
+            value = so3_to_quaternion(matmul3(load9(pose, body, 0), matrix3(row["axes"])))[k]
+        elif what == SPIN:
+            value += dot3(vector3(row["direction"]), load3(twist, body, 0))
+        elif what == SPEED:
+            value += dot3(vector3(row["direction"]), _velocity(row, twist))
+        elif what == PLACE_RATE:
+            value = point_velocity(pose, twist, body, vector3(row["point"]))[k]
+        elif what == WORLD_SPIN:
+            value = turning(pose, twist, body)[k]
+        else:
+            apart, length = _apart(row, pose)
+            value = length
+            if what == DISTANCE_RATE:
+                value = _over(dot3(apart, _apart_rate(row, pose, twist)), length)
+        if row["resolution"] > 0.0:
+            value = row["resolution"] * math.floor(value / row["resolution"])
+        registers[row["to"], 0] = value
+
+
+@kernel
+def read_changes(inputs, pose, twist, moves, rates, registers):
+    """Write the derivatives of inputs (k,) along displacements to their registers, see kinds.add_changes."""
+    for e in range(len(inputs)):
+        row = inputs[e]
+        what, k, body, value = row["what"], row["component"], row["body"], 0.0
+        if what == POSITION:
+            value = axis.rate(row, axis.unit_wrenches(row, pose), moves)
+        elif what == RATE:
+            value = axis.rate_change(row, axis.unit_wrenches(row, pose), pose, twist, moves, rates)
+        elif what == PLACE:
+            value = point_velocity(pose, moves, body, vector3(row["point"]))[k]
+        elif what == ATTITUDE:
+            axes = matrix3(row["axes"])
+            q = so3_to_quaternion(matmul3(load9(pose, body, 0), axes))
+            value = _turned(q, tmatvec3(axes, load3(moves, body, 0)), k)
+        elif what == SPIN:
+            value = dot3(vector3(row["direction"]), load3(rates, body, 0))
+        elif what == SPEED:
+            value = dot3(vector3(row["direction"]), _velocity(row, rates))
+        elif what == PLACE_RATE:
+            value = _point_change(row, pose, twist, moves, rates, False)[k]
+        elif what == WORLD_SPIN:
+            turned = cross3(turning(pose, moves, body), turning(pose, twist, body))
+            value = add3(turning(pose, rates, body), turned)[k]
+        else:
+            apart, length = _apart(row, pose)
+            moved = _apart_rate(row, pose, moves)
+            if length > 0.0:
+                value = dot3(apart, moved) / length
+                if what == DISTANCE_RATE:
+                    rate = _apart_rate(row, pose, twist)
+                    change = sub3(
+                        _point_change(row, pose, twist, moves, rates, True),
+                        _point_change(row, pose, twist, moves, rates, False),
+                    )
+                    value = (dot3(moved, rate) + dot3(apart, change) - value * dot3(apart, rate) / length) / length
+        registers[row["to"], 1] = value

@@ -149,6 +149,8 @@ class Machine:
         self.engine = Engine(layout.scene, METHOD, STEP, *settings, quiet=True, layout=layout, **options)
         self.probe = Probe(self.engine, in_space=in_space)
         self.layout, self.log = self.engine.layout, log
+        self._late = self.layout.model.forces.laws.late  # the time of laws is that of the log
+        self._late[0] = SHIFT
         inputs = InputChannels(self.probe, [each.name for each in log.inputs])
         self._wrenches, self._shifts = inputs.changes(0)
         self.efforts = inputs.efforts
@@ -341,7 +343,9 @@ class Machine:
             if last > k:
                 parts = times[k : last + 1], counts[k:last], places[k : last + 1]
                 given = wrenches[k * n : last * n], targets[k * s : last * s], motions[k * d : last * d]
+                self._late[0] = 0.0
                 done, status = engine._integrator.passage(*parts, *given, *state, kept, path.angles)
+                self._late[0] = SHIFT
                 k += done
             if status == EVENT:
                 self._keep(segment, k, places[k], path)
@@ -447,9 +451,6 @@ def floating(layout):
 
 def _driven(scene, drives):
     """Layout of a scene, SHIFT later, whose joints move along the positions of [Given]. Raises SceneError."""
-    for force in scene.forces:
-        if force.type == "law" and force.uses_time:
-            raise SceneError(f"the law {force.name} depends on t, and a log does not say when t was 0: leave it out")
     timed = [force for force in scene.forces if getattr(force, "start", 0.0) or getattr(force, "end", None)]
     if timed:
         scene = scene.remade(forces=[_later(force) if force in timed else force for force in scene.forces])

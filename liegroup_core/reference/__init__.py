@@ -4,6 +4,6 @@
 elliptic.py has the exact rotations of a free body and of a symmetric heavy top; it needs mpmath.
 """
 
-from .trajectory import Distance, JointChange, Reference, Trajectory, WrenchSpan, distance, integrate
+from .trajectory import Distance, JointChange, PullSpan, Reference, Trajectory, WrenchSpan, distance, integrate
 
-__all__ = ["Distance", "JointChange", "Reference", "Trajectory", "WrenchSpan", "distance", "integrate"]
+__all__ = ["Distance", "JointChange", "PullSpan", "Reference", "Trajectory", "WrenchSpan", "distance", "integrate"]

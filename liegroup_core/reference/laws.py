@@ -118,6 +118,9 @@ def build_laws(scene, index, joints, frames, angles, servos):
             at[3:6], at[9] = axes[:, k], offset
         return what, (index[name], k), at
 
+    def number_in(sensor, part):
+        return int(part) if part.isdigit() else [text.split()[0] for text in sensor.parts].index(part)
+
     def of_sensor(sensor, number):
         if sensor.type == "encoder":
             what = ANGLE if joints[sensor.joint].type != "prismatic" else SLIDE
@@ -148,10 +151,11 @@ def build_laws(scene, index, joints, frames, angles, servos):
             owner, _, part = each.quantity.rpartition(".")
             names[name], angle = count, -1
             if owner in sensors:
-                what, ends, at = of_sensor(sensors[owner], int(part))
+                number = number_in(sensors[owner], part)
+                what, ends, at = of_sensor(sensors[owner], number)
                 angle = angles[sensors[owner].joint] if what == ANGLE else -1
                 if hasattr(sensors[owner], "noise_at"):
-                    noisy.append((count, sensors[owner], int(part)))
+                    noisy.append((count, sensors[owner], number))
             elif owner in joints:
                 what = 2 * (joints[owner].type == "prismatic") + (part == "velocity")
                 angle = angles[owner] if what == ANGLE else -1

@@ -18,6 +18,8 @@ from liegroup_core.compiling import kernel, subroutine
 
 from .vectors import add_force, add_three, cross, dot, plus, point, slide, three, turned, turning
 
+LOADS = 36  # numbers of the external loads on a body
+
 
 class Loads(NamedTuple):
     """Gravity and forces of a scene of n bodies; a law is (constant, stiffness, damping, limit)."""
@@ -87,9 +89,11 @@ def add_loads(loads, mass, frame, angle, wrench, force, angle_rate_out):
     mass   : (n,) kg
     frame  : (n + 1, FRAME) of vectors.place
     angle  : (t,) rad, of the joints with an integrated angle
-    wrench : (n, 24) external wrenches: (6) body axes, about the centre of mass; (6) world axes,
+    wrench : (n, LOADS) external wrenches: (6) body axes, about the centre of mass; (6) world axes,
              about the point (3) of the body, relative to the centre of mass; (9) forces in world axes
-             1 m from this point along x, y and z of the body, whose opposites act at this point
+             1 m from this point along x, y and z of the body, whose opposites act at this point; a pull: (3) place in
+             the world, (3) point of the body, relative to the centre of mass, (3) torque in world axes, stiffness N/m,
+             damping N s/m, damping of the rotation N m s/rad
     force  : (n + 1, 6) force in N; torque in N m about the centre of mass; world axes
     angle_rate_out : (t,) rad/s
     """
@@ -107,4 +111,9 @@ def add_loads(loads, mass, frame, angle, wrench, force, angle_rate_out):
         for k in range(3):
             axis = frame[i, k], frame[i, 3 + k], frame[i, 6 + k]
             add_three(force, i, 3, 1.0, cross(axis, three(wrench, i, 15 + 3 * k)))
+        end = point(frame, i, three(wrench, i, 27))
+        add_force(force, frame, i, end[0], wrench[i, 33], plus(three(wrench, i, 24), -1.0, end[0]))
+        add_force(force, frame, i, end[0], -wrench[i, 34], end[1])
+        add_three(force, i, 3, 1.0, three(wrench, i, 30))
+        add_three(force, i, 3, -wrench[i, 35], omega)
     _joint_forces(loads, frame, angle, force, angle_rate_out)

@@ -144,7 +144,7 @@ def rates(system, chosen, times, given, states, wrench, out):
     times  : (p,) s
     given  : (p, 3, d) coordinate, rate and acceleration of the driven joints
     states : (p, 13 n + t)
-    wrench : (n, 24) external wrenches, see loads.add_loads
+    wrench : (n, LOADS) external wrenches, see loads.add_loads
     out    : (p, 13 n + t)
     returns the smallest ratio of a pivot of the matrix and its diagonal entry: 1 if no row is near others, 0 if
     one depends on them

@@ -16,6 +16,7 @@ from liegroup_core.threads import one_blas_thread
 
 from .collocation import CollocationSteps
 from .laws import HeldValues
+from .loads import LOADS
 from .rigid_body_dae import STATE, chosen_rows, rates, unit_rows
 from .system import build_system, with_targets
 
@@ -49,6 +50,20 @@ class WrenchSpan(NamedTuple):
     wrench: tuple  # (6,) torque N m, force N
     axes: str = "body"  # or "world"
     point: tuple | None = None  # (3,) m, in the body frame, at which the force acts; None: its origin
+
+
+class PullSpan(NamedTuple):
+    """Spring and damper from a point of a body to one in the world, from one time to another; one of a body at most."""
+
+    start: float  # s
+    end: float  # s, or infinity
+    body: str
+    to: tuple  # (3,) m, world axes
+    stiffness: float  # N/m
+    damping: float  # N s/m
+    point: tuple | None = None  # (3,) m, in the body frame; None: its origin
+    torque: tuple = (0.0, 0.0, 0.0)  # N m, world axes
+    turning_damping: float = 0.0  # N m s/rad
 
 
 class JointChange(NamedTuple):
@@ -103,8 +118,8 @@ def integrate(scene, pose, twist, times, changes=(), start=0.0, rtol=TIGHT):
     twist   : (n, 6) body-fixed, at `start`. Pose and twist are those of the frames at the centres of
               mass, as from Simulation.state
     times   : (k,) s, increasing, not before `start`
-    changes : WrenchSpan and JointChange, the latter in the order of their times. Before the first of these, targets
-              and motions are those of the scene
+    changes : WrenchSpan, PullSpan and JointChange, the latter in the order of their times. Before the first of these,
+              targets and motions are those of the scene
     rtol    : tolerance of the error inside a step, relative to the characteristic length and in rad
     returns (Trajectory at `times`, its uncertainty as a Distance: the largest distance so far to
     a run with a tolerance LOOSER times larger)
@@ -208,20 +223,20 @@ class Reference:
 def _pieces(scene, system, offsets, changes, start, end):
     """Intervals of constant wrenches, constant targets of servos, and one motion of each drive.
 
-    returns [(start, end, System, wrenches (n, 24) of loads.add_loads, [(7,) of each driven joint])]
+    returns [(start, end, System, wrenches (n, LOADS) of loads.add_loads, [(7,) of each driven joint])]
     """
     targets, commanded, motions = {}, {}, resolve_drives(scene)
     index = {body.name: i for i, body in enumerate(scene.bodies)}
-    spans = [change for change in changes if isinstance(change, WrenchSpan)]
+    spans = [change for change in changes if not isinstance(change, JointChange)]
     spans += [_span(force) for force in scene.forces if force.type == "applied_wrench"]
     # Sorted by time; changes at the same time keep their order.
     switches = sorted(
-        [(change.time, change) for change in changes if not isinstance(change, WrenchSpan)]
+        [(change.time, change) for change in changes if isinstance(change, JointChange)]
         + [(time, span) for span in spans for time in (span.start, span.end)]
         + [(time, None) for rows in motions.values() for time in rows[1:, 0]],
         key=lambda switch: switch[0],
     )
-    wrench = np.zeros((len(scene.bodies), 24))
+    wrench = np.zeros((len(scene.bodies), LOADS))
     wrench[:, 12:15] = -offsets.com
     on_body = [[] for _ in scene.bodies]  # spans that have begun and not ended
     pieces = []
@@ -267,9 +282,13 @@ def _span(push):
 
 
 def _set_row(row, body, spans, offsets):
-    """Set the loads (24,) of loads.add_loads on a body to the sum of the wrenches of spans."""
+    """Set the loads (LOADS,) of loads.add_loads on a body to the sum of the wrenches of spans, and to a pull."""
     row[:12], row[15:] = 0.0, 0.0
     for span in spans:
+        if isinstance(span, PullSpan):
+            place = (0.0, 0.0, 0.0) if span.point is None else span.point
+            row[24:] = *span.to, *(place - offsets.com[body]), *span.torque, *span[4:6], span.turning_damping
+            continue
         wrench = np.array(span.wrench, dtype=float)
         if span.axes == "body":
             if span.point is not None:

@@ -8,8 +8,8 @@ state of each stretch. A stretch is a part of the recording between resets or se
 import numpy as np
 
 from liegroup_core.errors import SimulationError
-from liegroup_core.forces.commands import EFFORT, WRENCH
-from liegroup_core.reference import JointChange, Reference, Trajectory, WrenchSpan, distance
+from liegroup_core.forces.commands import PULL, WRENCH
+from liegroup_core.reference import JointChange, PullSpan, Reference, Trajectory, WrenchSpan, distance
 from liegroup_core.reference.trajectory import MOST_STEPS
 from liegroup_sim_ros.numbers import counted, shown
 from liegroup_sim_ros.playback.rerun import Starts
@@ -160,7 +160,7 @@ class ReferenceError:
         self._errors.add(stretch, times[:k], block.log_times[:k], error, uncertainty, estimates)
 
     def _wrenches(self, stretch):
-        """[WrenchSpan] of a stretch that start before the end of the reference."""
+        """[WrenchSpan and PullSpan] of a stretch that start before the end of the reference."""
         found = []
         start, end, numbers = stretch.inputs.spans()
         for first, last, k in zip(stretch.seconds_of(start), stretch.seconds_of(end), numbers.tolist()):
@@ -170,8 +170,11 @@ class ReferenceError:
             if command.kind == WRENCH:
                 found.append(WrenchSpan(first, last, command.name, command.values, command.axes, command.point))
                 continue
-            if command.kind != EFFORT:
-                raise SimulationError(f"the reference integration has no {command.kind}s")
+            if command.kind == PULL:
+                stiffness, damping, *rest = command.values
+                given = rest[:3], stiffness, damping, command.point, rest[3:6], rest[6]
+                found.append(PullSpan(first, last, command.name, *given))
+                continue
             for body, unit in self._unit_efforts[command.name]:
                 wrench = tuple((command.values[0] * unit).tolist())
                 found.append(WrenchSpan(first, last, stretch.bodies[body], wrench))

@@ -42,7 +42,12 @@ COUNTS = {"tracker": 13, "imu": 7, "wire": 2, "laser": 2, "coder": 1}
 
 
 def arm(period="", noise="", resolution=""):
-    inputs = ", ".join(f"{name}{k}: {name}.{k}" for name, count in COUNTS.items() for k in range(count))
+    # Numbers of sensors have two names.
+    parts = {"imu": "qx qy qz qw wx wy wz", "wire": "distance rate", "coder": "position"}
+    names = {name: dict(enumerate(text.split())) for name, text in parts.items()}
+    inputs = ", ".join(
+        f"{name}{k}: {name}.{names.get(name, {}).get(k, k)}" for name, count in COUNTS.items() for k in range(count)
+    )
     signals = ", ".join(f"s_{name}{k}: {name}{k}" for name, count in COUNTS.items() for k in range(count))
     text = ARM.replace("NOISE", noise).replace("jointRESOLUTION: elbow", f"joint: elbow{resolution}")
     text = text.replace("PERIOD", f"{period}signals: {{{signals}}}")
@@ -94,6 +99,7 @@ def test_a_sampled_law_reads_noise_and_resolution_as_they_are_recorded():
     [
         ("{q: load.3}", "", "inputs.q: 'load.3' is no quantity of a law"),
         ("{q: imu.8}", "", "inputs.q: 'imu.8' is no quantity of a law"),
+        ("{q: imu.az}", "", "inputs.q: 'imu.az' is no quantity of a law; did you mean"),
         ("{q: wire.length}", "", "inputs.q: 'wire.length' is no quantity of a law; "),
         ("{q: wires.0}", "", 'did you mean "wire.0"'),
         ("{q: coder.0}", "", "inputs.q: coder.0 has noise or a resolution: give the law a period"),

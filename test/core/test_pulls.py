@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose
 from liegroup_core import Simulation, load_scene
 from liegroup_core.linear import linearise
 from liegroup_core.methods.families import fitting_methods
+from liegroup_core.reference import PullSpan, integrate
 from liegroup_core.scene.load import scene_from_text
 
 BODY = """
@@ -124,3 +125,23 @@ def test_linear_systems_have_the_pull():
 def test_wrong_arguments_are_refused(given, reason):
     with pytest.raises(ValueError, match=reason):
         Simulation(scene_from_text(BODY, "test"), quiet=True).pull(*given)
+
+
+def test_the_reference_integration_has_pulls():
+    """Two pulls after each other, with torque and damping; both are exact to 1e-10."""
+    scene = scene_from_text(BODY, "test")
+    simulation = Simulation(scene, accuracy=1e-10, quiet=True)
+    start = simulation.state()
+    given = {"torque": [0.1, 0.2, -0.3], "turning_damping": 0.05}
+    simulation.pull("a", TO, 40.0, 1.5, start=0.2, duration=0.5, point=POINT, **given)
+    simulation.pull("a", [0, 0, 2], 30.0, start=0.4)
+    simulation.advance_to(1.0)
+    spans = [
+        PullSpan(0.2, 0.4, "a", tuple(TO), 40.0, 1.5, tuple(POINT), *given.values()),
+        PullSpan(0.4, np.inf, "a", (0, 0, 2), 30.0, 0.0),
+    ]
+    found, uncertainty = integrate(scene, *start, np.array([1.0]), spans)
+    sample = simulation.sample()
+    assert_allclose(sample.pose[:, 9:], found.position[0], rtol=0, atol=1e-9)
+    assert_allclose(sample.pose[:, :9].reshape(-1, 3, 3), found.rotation[0], rtol=0, atol=1e-9)
+    assert max(part.max() for part in uncertainty) < 1e-10

@@ -695,3 +695,21 @@ def test_the_violation_of_a_curved_coupling_is_reported(tmp_path):
     gap = np.abs(recording.pose["lifter"].position[:, 2] - 0.05 * angle**2 - 0.02 * angle**3)
     found = analyse(recording, reference=False).figures["joints"]["cam"]
     assert found["largest"] == pytest.approx(gap.max(), rel=1e-9) and gap.max() > 1e-6 and found["unit"] == "m"
+
+
+def test_a_recording_with_pulls_has_a_reference(tmp_path):
+    """A pull that a later one replaces, and one with an end; the reference and a run to 1e-8 agree."""
+    setup = tmp_path / "pulls.py"
+    setup.write_text(
+        "def setup(run):\n"
+        "    run.pull('top', [1, 0, 2], 20, 1.5, start=0.1, duration=0.5, point=[0, 0, 0.1], turning_damping=0.01)\n"
+        "    run.pull('top', [0, 1, 1], 5, start=0.3, torque=[0, 0.1, 0.2], source='other')\n"
+        "    run.pull('top', [0, 1, 1], 10, start=0.8, duration=0.1)\n"
+    )
+    path = tmp_path / "run.mcap"
+    arguments = ["--accuracy", "1e-8", "--duration", "1.5", "--control", f"{setup}:setup", "--out", str(path)]
+    assert main(["run", "heavy_top", *arguments]) == 0
+    figures = analyse(read_recording(path)).figures
+    reference = figures["reference"]
+    assert reference["kind"] == "integration" and reference["stopped"] is None and reference["seconds"] == 1.5
+    assert reference["position"]["max"] < 1e-8 and reference["angle"]["max"] < 1e-8
