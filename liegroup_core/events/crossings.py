@@ -24,7 +24,6 @@ from liegroup_core.dynamics.switches import (
     LOWER,
     MOST,
     RESTING,
-    ROUND_OFF,
     SLIDING,
     UPPER,
     coordinate,
@@ -32,7 +31,7 @@ from liegroup_core.dynamics.switches import (
     set_guards,
 )
 from liegroup_core.forces.formulas import OPEN
-from liegroup_core.forces.law import branch_of, distances_in, effect_of_branch, is_continuous, next_branch
+from liegroup_core.forces.law import branch_matters, branch_of, distances_in, next_branch
 from liegroup_core.mechanism.arrays import COORDINATE, NODES, RESTS, SIDE, SLIP
 
 NONE = -1.0  # in Work.crossed: the guard is not crossed
@@ -105,11 +104,10 @@ def _matters(model, work, k, c, way, h):
     for i in range(len(work.wrench)):
         for j in range(6):
             force += abs(work.wrench[i, j])
-    other = next_branch(laws, work.branches[k], k, c == MOST)
-    effect = effect_of_branch(laws, work.branches, work.registers, k, other, force, h)
-    if way != end and end > 0.0 and is_continuous(laws, k):
-        effect *= -way / end
-    return effect > ROUND_OFF
+    other, part = next_branch(laws, work.branches[k], k, c == MOST), 1.0
+    if way != end and end > 0.0:
+        part = min(1.0, -way / end)
+    return branch_matters(laws, work.branches, work.registers, k, other, force, h, part) != 0
 
 
 @kernel

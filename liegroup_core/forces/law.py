@@ -31,7 +31,7 @@ from typing import Annotated, Literal, NamedTuple
 import numpy as np
 from pydantic import BeforeValidator, Field, WithJsonSchema, model_validator
 
-from liegroup_core.compiling import Struct, kernel
+from liegroup_core.compiling import Struct, borrowed, kernel, shared, subroutine
 from liegroup_core.errors import SceneError
 from liegroup_core.fields.values import (
     Described,
@@ -84,6 +84,7 @@ WITNESS = 1  # register of the last result that was not finite: its number from 
 LAW_TIME = 3  # register of the time in formulas
 CAUSE = 2  # the next one: number of the first signal that was not finite then, 0 for none, and the value of the result
 MOST_PERIODS = 1000  # of a delay
+ROUND_OFF = 1e-13  # of forces and states, relative to all forces and to the scale of a state
 NO_AXIS = axis.fields(False, -1, -1, np.eye(4), np.eye(4))
 
 
@@ -718,47 +719,52 @@ def _change_to(now, before):
     return change if change == change else math.inf
 
 
-@kernel
-def effect_of_branch(laws, branches, registers, k, branch, force, span):
-    """Largest effect of another branch of kink k at the inputs in registers, in parts of a force and of states.
+@subroutine
+def _evaluate(laws, registers):
+    evaluate(laws.code, laws.tables, laws.points, registers)
 
-    force : N, for outputs;  span : s, in which rates change states, relative to their scales
+
+@subroutine
+def _differentiate(laws, registers):
+    differentiate(laws.code, laws.tables, laws.points, registers)
+
+
+@shared
+def branch_matters(laws, branches, registers, k, branch, force, span, part):
+    """1 if another branch of kink k changes outputs or states by more than round-off, at the inputs in registers.
+
+    force : N, sum of all forces;  span : s, in which rates change states
+    part : of the change that counts, for a continuous kink
     """
-    _evaluate_with(laws, branches, registers)
+    branches, registers = borrowed(branches), borrowed(registers)
+    set_branches(laws, branches, registers)
+    _evaluate(laws, registers)
     for e in range(len(laws.outputs)):
         at = laws.outputs[e]["registers"]
         for c in range(6):
             registers[at[c], 1] = registers[at[c], 0]
     for s in range(len(laws.states)):
         registers[laws.states[s, 1], 1] = registers[laws.states[s, 1], 0]
-    registers[laws.code[laws.kinks[k], 4], 0], largest = branch, 0.0
-    evaluate(laws.code, laws.tables, laws.points, registers)
+    i = laws.kinks[k]
+    registers[laws.code[i, 4], 0] = branch
+    _evaluate(laws, registers)
+    if laws.code[i, 0] == LESS or laws.code[i, 0] == LESS_EQUAL:
+        part = 1.0
+    found, least = 0, ROUND_OFF * force
     for e in range(len(laws.outputs)):
         at = laws.outputs[e]["registers"]
         for c in range(6):
-            change = _change_to(registers[at[c], 0], registers[at[c], 1])
-            if change > 0.0:
-                largest = max(largest, change / force if force > 0.0 else math.inf)
+            if part * _change_to(registers[at[c], 0], registers[at[c], 1]) > least:
+                found = 1
     for s in range(len(laws.states)):
         to = laws.states[s, 1]
-        largest = max(largest, span * _change_to(registers[to, 0], registers[to, 1]) / laws.scales[s])
-    _evaluate_with(laws, branches, registers)
-    if _open_branches(laws, registers, 0):
-        evaluate(laws.code, laws.tables, laws.points, registers)
-    return largest
-
-
-@kernel
-def _evaluate_with(laws, branches, registers):
+        if part * span * _change_to(registers[to, 0], registers[to, 1]) > ROUND_OFF * laws.scales[s]:
+            found = 1
     set_branches(laws, branches, registers)
-    evaluate(laws.code, laws.tables, laws.points, registers)
-
-
-@kernel
-def is_continuous(laws, k):
-    """Whether the value of kink k does not jump."""
-    operation = laws.code[laws.kinks[k], 0]
-    return operation != LESS and operation != LESS_EQUAL
+    _evaluate(laws, registers)
+    if _open_branches(laws, registers, 0):
+        _evaluate(laws, registers)
+    return found
 
 
 @kernel
@@ -794,7 +800,7 @@ def measure(laws, angle, pose, twist, registers):
     _read(laws, angle, pose, twist, registers)
     evaluate(laws.code, laws.tables, laws.points, registers)
     if _open_branches(laws, registers, 0):
-        evaluate(laws.code, laws.tables, laws.points, registers)
+        _evaluate(laws, registers)
     _note_undefined(laws, registers)
 
 
@@ -872,9 +878,9 @@ def measure_changes(laws, angle, pose, twist, moves, rates, registers):
     """As `measure`, also the derivatives along displacements, see kinds.add_changes."""
     _read(laws, angle, pose, twist, registers)
     read_changes(laws.inputs, pose, twist, moves, rates, registers)
-    differentiate(laws.code, laws.tables, laws.points, registers)
+    _differentiate(laws, registers)
     if _open_branches(laws, registers, 1):
-        differentiate(laws.code, laws.tables, laws.points, registers)
+        _differentiate(laws, registers)
 
 
 @kernel

@@ -66,6 +66,11 @@ law:
       - {body: a, force: [2*qx + 1, "exp(-x**2)*qz", y*qw], torque: ["atan2(x, y)", 1, w*qw], point: [0.3, 1, 2],
          axes: world}
       - {body: c, force: [w - 1, x*y, 3], torque: [qy*w, qw*qz, "max(x, y, w)"], point: [0.1, 0, -1]}
+contact:
+  - {name: s, body: a, other: b, shape: {type: capsule, radius: 4, length: 0.4, position: [0.1, 0.2, 0.3]}, friction: 0.4,
+     other_shape: {type: sphere, radius: 5}, stiffness: 5, damping: 0.01, slip: 0.9, settles: 0.1}
+  - {name: t, body: c, shape: {type: box, size: [1, 2, 3]}, plane: {point: [0, 0, 9], normal: [1, 2, 3]}, stiffness: 2,
+     damping: 0.01, friction: 0.3, slip: 2}
 applied_wrench:
   - {name: s, body: a, torque: [1, 2, 3], force: [4, 5, -6], point: [1, 0.2, 3]}
   - {name: t, body: b, torque: [1, 2, 3], force: [4, 5, -6], point: [1, 0.2, 3], axes: world}
@@ -73,7 +78,7 @@ applied_wrench:
 CLASSES = {cls.model_fields["type"].default: cls for cls in FORCES}
 EXAMPLES = {kind: [CLASSES[kind](**entry) for entry in entries] for kind, entries in EXAMPLES.items()}
 IN_ROWS = [kind for kind in EXAMPLES if kind != "applied_wrench"]
-DRIVEN = ("motor", "linear_motor", "servo", "linear_servo", "law")  # their power may be positive
+DRIVEN = ("motor", "linear_motor", "servo", "linear_servo", "law", "contact")  # their power may be positive
 ELASTIC = [kind for kind in EXAMPLES if kind.endswith("spring_damper")]
 SEEDS = range(4)
 
@@ -98,9 +103,13 @@ class State:
         self.matrices = pose
         self.twist = rng.normal(size=(3, 6))
         described = EXAMPLES[kind] if described is None else described
+        for each in described:
+            if kind == "contact":
+                each.complete({name: SimpleNamespace(mass=1.0, shape=None) for name in BODIES}, (0.0, 0.0, -9.81))
         counted = kinds.unwrapped(described, turning=ON_JOINTS, sensors=sensors)
         self.forces = kinds.make_forces(described, INDEX, ends, counted, sensors=sensors)
-        self.angle = np.full(len(self.forces.counted), 20.0)  # three turns
+        self.angle = np.full(kinds.count(self.forces), 0.2)  # states of laws
+        self.angle[: len(self.forces.counted)] = 20.0  # three turns
         kinds.count_turns(self.forces, flat(pose), self.angle)
         self.targets, self.registers = (
             kinds.target_values(self.forces),
