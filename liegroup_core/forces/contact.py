@@ -239,13 +239,14 @@ def _contact_shape(shape, moved):
 def damping_of(restitution, speed):
     """c in s/m of a contact that a mass meets with a speed in m/s, and leaves with restitution times this speed."""
 
-    def lost(a):  # x = c v of the way in, and of the way out with the opposite sign
-        return (a - math.log1p(a)) + (restitution * a + math.log1p(-restitution * a))
+    def lost(y):  # y = -ln(1 - e a): the exponential keeps digits where the way out is slow
+        out = -math.expm1(-y)
+        return out / restitution - math.log1p(out / restitution) + out - y
 
     if restitution >= 1.0:
         return 0.0
-    small = 1e-3 * (1.0 - restitution)
-    return float(scipy.optimize.brentq(lost, small, (1.0 - 1e-12) / restitution, xtol=1e-15)) / speed
+    y = scipy.optimize.brentq(lost, 1e-3 * (1.0 - restitution), 2.0 + 1.0 / restitution, xtol=1e-15)
+    return -math.expm1(-y) / restitution / speed
 
 
 # ---------------------------------------------------------------- formulas: a number, or a text in brackets

@@ -67,8 +67,8 @@ law:
          axes: world}
       - {body: c, force: [w - 1, x*y, 3], torque: [qy*w, qw*qz, "max(x, y, w)"], point: [0.1, 0, -1]}
 contact:
-  - {name: s, body: a, other: b, shape: {type: capsule, radius: 4, length: 0.4, position: [0.1, 0.2, 0.3]}, friction: 0.4,
-     other_shape: {type: sphere, radius: 5}, stiffness: 5, damping: 0.01, slip: 0.9, settles: 0.1}
+  - {name: s, body: a, other: b, shape: {type: capsule, radius: 4, length: 0.4, position: [0.1, 0.2, 0.3]},
+     other_shape: {type: sphere, radius: 5}, stiffness: 5, damping: 0.01, friction: 0.4, slip: 0.9, settles: 0.1}
   - {name: t, body: c, shape: {type: box, size: [1, 2, 3]}, plane: {point: [0, 0, 9], normal: [1, 2, 3]}, stiffness: 2,
      damping: 0.01, friction: 0.3, slip: 2}
 applied_wrench:

@@ -1,0 +1,280 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Contacts: closed forms of drops, impacts, sliding, rolling and standing; distances against minimisation."""
+
+import math
+from itertools import product
+
+import numpy as np
+import pytest
+import scipy
+from convergence import fitted_order
+from numpy.testing import assert_allclose
+
+from liegroup_core import SceneError, Simulation
+from liegroup_core.lie.groups import SO3
+from liegroup_core.linear import linearise, sensitivities
+from liegroup_core.scene.load import scene_from_text
+
+G, RADIUS = 9.81, 0.1
+BALL = "{name: ball, shape: {type: sphere, radius: 0.1, mass: 2}, position: [0, 0, %s], linear_velocity: [%s, 0, %s]}"
+
+
+def scene(bodies, contacts, gravity=G, more=""):
+    entries = "\n".join(f"  - {{type: contact, {each}}}" for each in contacts)
+    return scene_from_text(
+        f"name: c\ngravity: [0, 0, {-gravity}]\nbodies:\n"
+        + "\n".join(f"  - {each}" for each in bodies)
+        + f"\nforces:\n{entries}\n{more}",
+        "test",
+    )
+
+
+def ball(contact, height=RADIUS, along=0.0, up=0.0, gravity=G):
+    """A ball of 2 kg and 0.1 m on the plane z = 0."""
+    return scene([BALL % (height, along, up)], [f"name: floor, body: ball, {contact}"], gravity)
+
+
+def bounce(stiffness, height):
+    """(time of the fall, time in contact) of the ball with a linear contact: d'' = g - k/m d."""
+    speed, rate = math.sqrt(2.0 * G * height), math.sqrt(stiffness / 2.0)
+    return speed / G, 2.0 / rate * (math.pi - math.atan(speed * rate / G))
+
+
+@pytest.mark.parametrize("stiffness", [1e3, 1e6])
+def test_a_ball_on_a_linear_contact_keeps_its_height_through_a_thousand_bounces(stiffness):
+    """Without damping the contact is a spring. The apex after n bounces, its time by the closed form."""
+    height = 0.05
+    fall, touch = bounce(stiffness, height)
+    simulation = Simulation(ball(f"stiffness: {stiffness}, damping: 0", RADIUS + height), accuracy=1e-9, quiet=True)
+    for bounces in (1, 100, 1000):
+        simulation.advance_to(bounces * (2.0 * fall + touch))
+        sample = simulation.sample()
+        # The speed of the ball there is that of an error in time.
+        assert abs(sample.pose[0, 11] - RADIUS - height) <= 1e-9
+        assert abs(sample.twist[0, 5]) <= 1e-8 * bounces
+    assert simulation._switching.tally.sum() == 2000
+
+
+@pytest.mark.parametrize("restitution, speed", [(0.9, 1.0), (0.5, 2.0), (0.1, 0.3), (0.02, 5.0)])
+@pytest.mark.parametrize("stiffness", [1e2, 1e5])
+def test_a_ball_leaves_with_its_restitution(restitution, speed, stiffness):
+    """At the stated speed without gravity, whatever the stiffness."""
+    contact = f"stiffness: {stiffness}, restitution: {restitution}, speed: {speed}"
+    simulation = Simulation(ball(contact, 0.2, up=-speed, gravity=0.0), accuracy=1e-9, quiet=True)
+    simulation.advance_to(0.2 / speed + 200.0 * math.sqrt(2.0 / stiffness))
+    assert simulation.sample().twist[0, 5] == pytest.approx(restitution * speed, abs=1e-9)
+
+
+def test_a_sliding_ball_rolls_after_two_sevenths_of_its_speed():
+    """It slides for t = 2 v / (7 mu g), then rolls with 5/7 v; the way differs with the order 1 of the slip length."""
+    friction, speed = 0.3, 1.0
+    slides = 2.0 * speed / (7.0 * friction * G)
+    way = speed * slides - 0.5 * friction * G * slides**2 + 5.0 / 7.0 * speed * (1.0 - slides)
+    lengths, errors = np.array([4e-4, 2e-4, 1e-4]), []
+    for slip in lengths:
+        contact = f"sinks: 1e-5, restitution: 0.5, friction: {friction}, slip: {slip}"
+        simulation = Simulation(ball(contact, RADIUS - 1e-5, along=speed), accuracy=1e-8, quiet=True)
+        simulation.advance_to(1.0)
+        sample = simulation.sample()
+        velocity = SO3.exp([0, 0, 0]) @ sample.pose[0, :9].reshape(3, 3) @ sample.twist[0, 3:]
+        assert_allclose(velocity, (5.0 / 7.0, 0.0, 0.0), atol=1e-7)
+        assert sample.twist[0, 1] == pytest.approx(5.0 / 7.0 / RADIUS, abs=1e-6)
+        errors.append(abs(sample.pose[0, 9] - way))
+    assert 0.9 <= fitted_order(lengths, errors) <= 1.1, errors
+
+
+BRICK = "{name: brick, shape: {type: box, size: [0.4, 0.3, 0.1], mass: 3}, position: [%s, 0, %s], %s}"
+
+
+def slope(angle, friction, along=0.0, slip=1e-5, sinks=1e-5):
+    """A brick on a plane that falls along x with an angle; its speed down the slope."""
+    normal = (math.sin(angle), 0.0, math.cos(angle))
+    # Four corners bear a quarter each.
+    out = 0.05 - 0.25 * sinks * math.cos(angle)
+    turned = f"rotation_vector: [0, {angle}, 0], linear_velocity: [{along}, 0, 0]"
+    body = BRICK % (out * normal[0], out * normal[2], turned)
+    contact = f"name: floor, body: brick, plane: {{normal: [{normal[0]}, 0, {normal[2]}]}}, sinks: {sinks}"
+    return scene([body], [f"{contact}, restitution: 0.1, friction: {friction}, slip: {slip}"])
+
+
+def test_a_brick_on_a_slope_below_the_cone_stays_for_an_hour():
+    """At 0.98 of the angle of friction: it settles, and then does not move at all.
+
+    It starts without friction, so it has the energy m g sin a slip / 2 when 0.02 m g sin a are left to stop it: 25 slip.
+    """
+    friction, slip = 0.5, 1e-5
+    brick = slope(math.atan(0.98 * friction), friction, slip=slip)
+    simulation = Simulation(brick, accuracy=1e-3, step=0.5, quiet=True)
+    start = simulation.sample().pose[0, 9:]
+    simulation.advance_to(5.0)
+    settled = simulation.sample().pose[0, 9:]
+    assert np.abs(settled - start).max() <= 25.0 * slip
+    simulation.advance_to(3600.0)
+    assert np.abs(simulation.sample().pose[0, 9:] - settled).max() <= 1e-13
+
+
+def test_a_brick_on_a_slope_beyond_the_cone_slides_with_its_acceleration():
+    """g (sin a - mu cos a), once the bristle is bent."""
+    friction, angle, slip = 0.5, math.atan(1.2 * 0.5), 1e-6
+    simulation, speeds = Simulation(slope(angle, friction, slip=slip), accuracy=1e-6, quiet=True), []
+    for time in (0.25, 0.5):
+        simulation.advance_to(time)
+        speeds.append(simulation.sample().twist[0, 3])
+    expected = G * (math.sin(angle) - friction * math.cos(angle))
+    assert (speeds[1] - speeds[0]) / 0.25 == pytest.approx(expected, rel=1e-5)
+    shown = simulation.sample().signals["floor.normal_force"]
+    assert shown == pytest.approx(3 * G * math.cos(angle), rel=1e-6)
+
+
+def test_a_sliding_brick_stops_and_sensitivities_know_it():
+    """After v / (mu g), at v^2 / (2 mu g), whose derivative by mu is - v^2 / (2 mu^2 g)."""
+    friction, speed, slip = 0.4, 1.0, 1e-5
+    brick = slope(0.0, friction, along=speed, slip=slip)
+    simulation = Simulation(brick, accuracy=1e-6, quiet=True)
+    simulation.advance_to(1.0)
+    sample = simulation.sample()
+    assert sample.pose[0, 9] == pytest.approx(speed**2 / (2 * friction * G), abs=2 * slip)
+    assert np.abs(sample.twist).max() < 1e-6
+
+
+def test_forces_of_supports_are_those_of_statics():
+    """A beam on two supports: the lever rule."""
+    body = "{name: beam, mass: 5, inertia: [0.1, 0.4, 0.4], position: [0, 0, 0]}"
+    supports = [
+        f"name: {name}, body: beam, shape: {{type: hull, points: [[{x}, -0.1, 0], [{x}, 0.1, 0]]}}, stiffness: 1e5, "
+        "damping: 10"
+        for name, x in (("left", -0.3), ("right", 0.5))
+    ]
+    simulation = Simulation(scene([body], supports), accuracy=1e-6, quiet=True)
+    simulation.advance_to(3.0)
+    shown = simulation.sample().signals
+    assert shown["left.normal_force"] == pytest.approx(5 * G * 0.5 / 0.8, rel=1e-6)
+    assert shown["right.normal_force"] == pytest.approx(5 * G * 0.3 / 0.8, rel=1e-6)
+    assert shown["left.depth"] == pytest.approx(0.5 * shown["left.normal_force"] / 1e5, rel=1e-6)
+
+
+def test_a_sliding_cylinder_rolls_with_two_thirds_of_its_speed():
+    """On its side, of moment m r^2 / 2 about its axis; it does not turn about the vertical."""
+    body = (
+        "{name: roll, shape: {type: cylinder, radius: 0.1, length: 0.4, mass: 2, axis: [0, 1, 0]}, "
+        "position: [0, 0, 0.1], linear_velocity: [1, 0, 0]}"
+    )
+    floor = "name: floor, body: roll, sinks: 1e-5, restitution: 0.3, friction: 0.5, slip: 1e-5"
+    simulation = Simulation(scene([body], [floor]), accuracy=1e-6, quiet=True)
+    simulation.advance_to(0.5)
+    sample = simulation.sample()
+    velocity = sample.pose[0, :9].reshape(3, 3) @ sample.twist[0, 3:]
+    assert_allclose(velocity, (2.0 / 3.0, 0.0, 0.0), atol=1e-6)
+    assert_allclose(sample.twist[0, :3], (0.0, 2.0 / 3.0 / 0.1, 0.0), atol=1e-5)
+
+
+def test_two_balls_exchange_their_momentum():
+    """A central impact with restitution 0.5 of the reduced mass: v' = (m1 v1 -+ ...) / (m1 + m2)."""
+    bodies = [
+        "{name: a, shape: {type: sphere, radius: 0.1, mass: 1}, linear_velocity: [1, 0, 0]}",
+        "{name: b, shape: {type: sphere, radius: 0.2, mass: 3}, position: [0.5, 0, 0]}",
+    ]
+    hit = "name: hit, body: a, other: b, stiffness: 1e4, restitution: 0.5, speed: 1"
+    simulation = Simulation(scene(bodies, [hit], gravity=0.0), accuracy=1e-9, quiet=True)
+    simulation.advance_to(1.0)
+    speeds = simulation.sample().twist[:, 3]
+    assert_allclose(speeds, (0.25 - 0.5 * 0.75, 0.25 + 0.5 * 0.25), atol=1e-8)
+    assert abs(simulation.sample().twist[:, :3]).max() < 1e-12
+
+
+def random_turn(rng):
+    return SO3.exp(rng.normal(size=3))
+
+
+SKELETONS = {
+    "sphere": (0, "type: sphere, radius: 0.3"),
+    "capsule": (1, "type: capsule, radius: 0.3, length: 0.8"),
+    "box": (3, "type: box, size: [0.4, 0.6, 0.8]"),
+}
+PAIRS = [("sphere", "sphere"), ("sphere", "capsule"), ("capsule", "capsule"), ("sphere", "box"), ("box", "sphere")]
+
+
+@pytest.mark.parametrize("kinds", PAIRS)
+@pytest.mark.parametrize("seed", range(3))
+def test_depths_are_those_of_the_nearest_points(kinds, seed):
+    """Against a minimisation over both skeletons: a point, an axis, a solid box."""
+    rng = np.random.default_rng(seed)
+    places, turns, offset = rng.uniform(-0.8, 0.8, (2, 3)), [random_turn(rng) for _ in range(2)], (0.1, -0.2, 0.15)
+    bodies = [
+        f"{{name: {name}, mass: 1, inertia: [1, 1, 1], position: {place.tolist()}, "
+        f"rotation_vector: {SO3.log(turn).tolist()}}}"
+        for name, place, turn in zip("ab", places, turns)
+    ]
+    shapes = [f"{{{SKELETONS[kind][1]}, position: {list(offset)}, axis: [1, 2, 2]}}" for kind in kinds]
+    contact = f"name: c, body: a, other: b, shape: {shapes[0]}, other_shape: {shapes[1]}, stiffness: 1, damping: 0"
+    made = scene(bodies, [contact], gravity=0.0)
+    own = [made.forces[0].shape, made.forces[0].other_shape]
+
+    def point(side, where):
+        kind, shape = kinds[side], own[side]
+        size = {"sphere": (), "capsule": (0.8,), "box": (0.4, 0.6, 0.8)}[kind]
+        local = np.zeros(3)
+        if size:
+            local[3 - len(size) :] = 0.5 * np.array(size) * where
+        return places[side] + turns[side] @ (np.array(offset) + shape.rotation @ local)
+
+    counts = [SKELETONS[kind][0] for kind in kinds]
+
+    def distance(x):
+        return np.sum((point(0, x[: counts[0]]) - point(1, x[counts[0] :])) ** 2)
+
+    best = distance(np.zeros(0)) if sum(counts) == 0 else np.inf
+    if sum(counts):
+        options = {"ftol": 1e-16, "gtol": 1e-12}
+        for start in product((-0.5, 0.5), repeat=sum(counts)):
+            bounds = [(-1.0, 1.0)] * sum(counts)
+            best = min(best, scipy.optimize.minimize(distance, start, bounds=bounds, options=options).fun)
+    radii = sum(0.3 for kind in kinds if kind != "box")
+    shown = Simulation(made, "rkmk4", 1e-3, quiet=True).sample().signals
+    assert shown["c.depth"] == pytest.approx(radii - math.sqrt(best), abs=1e-6)
+
+
+def test_a_standing_ball_is_a_spring_and_its_motion_is_linear():
+    """lambda^2 = -k/m for the height; rolling is free, and friction holds the point of contact."""
+    made = ball("stiffness: 2e4, damping: 0, friction: 0.5, slip: 1e-4, settles: 0", RADIUS - 2 * G / 2e4)
+    values = np.linalg.eigvals(linearise(Simulation(made, quiet=True)).A)
+    assert np.abs(values.imag).max() >= math.sqrt(2e4 / 2) * (1 - 1e-9)
+    # The bristle: stiffness mu m g / slip at the mass 2/7 m, as the ball turns, too.
+    tangential = math.sqrt(0.5 * G / 1e-4 * 7 / 2)
+    for rate in (math.sqrt(2e4 / 2), tangential):
+        assert np.abs(values - 1j * rate).min() <= 1e-6 * rate
+
+
+def test_derivatives_of_a_bounce_are_those_of_its_closed_form():
+    """d z / d k of a ball in free flight after an elastic impact: it leaves later by d t_c / d k."""
+    height, stiffness = 0.05, 1e4
+    made = ball(f"stiffness: {stiffness}, damping: 0", RADIUS + height)
+    found = sensitivities(made, ["floor.stiffness"], [0.3], ["ball.z"])
+    ends = [bounce(stiffness * (1.0 + h), height) for h in (-1e-4, 1e-4)]
+    rate = (ends[1][1] - ends[0][1]) / (2e-4 * stiffness)
+    fall, touch = bounce(stiffness, height)
+    speed = G * fall - G * (0.3 - fall - touch)  # at 0.3 s, upwards
+    assert found.derivatives.item() == pytest.approx(-rate * speed, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    "change, reason",
+    [
+        ("stiffness: 1, sinks: 1, damping: 1", "stiffness and sinks: keep one"),
+        ("damping: 1", "stiffness is missing: give stiffness or sinks"),
+        ("stiffness: 1, restitution: 2", "restitution must be from 0.01 to 1"),
+        ("stiffness: 1, damping: 1, friction: 1", "slip is missing"),
+        ("stiffness: 1, damping: 1, other: bal", "other 'bal' is not a body"),
+        ("stiffness: 1, damping: 1, other: ball", "other must be another body"),
+        ("stiffness: 1, damping: 1, shape: {type: hull, points: []}", "must be 1 to 64 points"),
+    ],
+)
+def test_a_wrong_contact_is_refused_in_one_line(change, reason):
+    with pytest.raises(SceneError, match=reason):
+        ball(change)
+
+
+def test_boxes_do_not_touch_each_other():
+    bodies = [f"{{name: {name}, shape: {{type: box, size: [1, 1, 1], mass: 1}}}}" for name in "ab"]
+    with pytest.raises(SceneError, match="a box can touch a plane or a sphere"):
+        scene(bodies, ["name: c, body: a, other: b, stiffness: 1, damping: 1"])
