@@ -297,6 +297,7 @@ def crossed(model, work, h, weights):
             if place != NONE and not _matters(model, work, k, c, way, h):
                 if place == 1.0:  # it changes without an event
                     work.branches[k] = branch_of(model.space.forces.laws, work.registers, k)
+                    work.changed[0] = 1.0
                 place = NONE
             places[row, c] = place
             found = found or place != NONE

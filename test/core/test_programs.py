@@ -16,7 +16,7 @@ from liegroup_core.scene.load import scene_from_text
 
 SCENES = (
     *("lagrangian_top", "heavy_top", "four_bar", "slider_crank", "driven_arm", "flyball_governor", "hinge_chain"),
-    *("stick_slip", "cable", "gripper", "door", "controlled", "kinked", "sampled"),
+    *("stick_slip", "cable", "gripper", "door", "controlled", "kinked", "sampled", "touching"),
 )
 # A law with states, kinks and the time, on a mechanism with a stop.
 CONTROLLED = """
@@ -72,7 +72,19 @@ SAMPLED = CONTROLLED.replace("name: controlled", "name: sampled").replace(
   outputs: [{joint: hinge, effort: 0.3*u - 0.05*w}]
 - {name: hold""",
 )
-OWN = {"controlled": CONTROLLED, "kinked": KINKED, "sampled": SAMPLED}
+# Contacts: a ball that slides on a plane and meets another one.
+TOUCHING = """
+name: touching
+gravity: [0, 0, -9.81]
+bodies:
+- {name: ball, shape: {type: sphere, radius: 0.1, mass: 1}, position: [0, 0, 0.105], linear_velocity: [1, 0, 0]}
+- {name: other, shape: {type: sphere, radius: 0.1, mass: 2}, position: [0.25, 0.05, 0.0999]}
+forces:
+- {name: floor, type: contact, body: ball, sinks: 1e-4, restitution: 0.5, friction: 0.3}
+- {name: ground, type: contact, body: other, sinks: 1e-4, restitution: 0.5, friction: 0.3}
+- {name: hit, type: contact, body: ball, other: other, sinks: 1e-4, restitution: 0.5, friction: 0.3}
+"""
+OWN = {"touching": TOUCHING, "controlled": CONTROLLED, "kinked": KINKED, "sampled": SAMPLED}
 ACCURACIES = ({"accuracy": 1e-5}, {"accuracy": 1e-3, "horizon": 5.0, "step": 0.1}, {"accuracy": 1e-9, "step": 2e-3})
 SECONDS, COMMANDS = 0.25, 10
 PAIRS = some(range(5000), 60)

@@ -100,7 +100,7 @@ def slope(angle, friction, along=0.0, slip=1e-5, sinks=1e-5):
 def test_a_brick_on_a_slope_below_the_cone_stays_for_an_hour():
     """At 0.98 of the angle of friction: it settles, and then does not move at all.
 
-    It starts without friction, so it has the energy m g sin a slip / 2 when 0.02 m g sin a are left to stop it: 25 slip.
+    It starts without friction, so it has the energy m g sin a slip / 2 when 0.02 m g sin a is left to stop it: 25 slip.
     """
     friction, slip = 0.5, 1e-5
     brick = slope(math.atan(0.98 * friction), friction, slip=slip)

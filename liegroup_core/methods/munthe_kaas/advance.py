@@ -82,7 +82,8 @@ def _accept_controlled(model, work, scheme, control, pose, twist):
     if control.coarse[0] > 0.0:
         _coarsen(control.coarse[0], work.stage_pose, work.stage_twist)
     accept(model, work, pose, twist)
-    return 0 if model.projects or control.coarse[0] > 0.0 or is_timed(model, work) else 1
+    changed, work.changed[0] = work.changed[0] != 0.0, 0.0
+    return 0 if model.projects or control.coarse[0] > 0.0 or changed or is_timed(model, work) else 1
 
 
 @kernel
