@@ -502,7 +502,7 @@ class SampledLaw(NamedTuple):
     found: np.ndarray  # registers of what its instructions compute: states after the instant, signals, outputs
     outputs: int  # number of numbers of its outputs, the last ones
     delayed: int  # number of sets of outputs that wait
-    noisy: list  # [(register, sensor, number)] of its inputs that may have noise
+    noisy: list  # [(number of an input, sensor, number of the sensor)] of those that may have noise
 
     @property
     def names(self):
@@ -518,22 +518,22 @@ def sampled_laws(described, sensors=()):
     found, first, inputs, code, signals = [], 0, 0, 0, set()
     sensors = {each.name: each for each in sensors}
     for law, compiled in _compile_all(described)[2]:
-        own = sum(each.quantity not in signals for each in law.inputs.values())
+        known = {*signals}
         signals |= {f"{law.name}.{name}" for name in compiled.shown}
         if law.period is None:
             continue
         sampled, delayed = compiled.sampled, math.ceil(exact_seconds(law.delay) / exact_seconds(law.period))
         outputs = sum(map(len, compiled.outputs))
-        parts = slice(inputs, inputs + own), slice(code, code + len(sampled.code))
-        noisy = []
-        for name, each in law.inputs.items():
+        noisy, rows = [], [each for each in law.inputs.values() if each.quantity not in known]
+        for k, each in enumerate(rows):
             owner, _, part = each.quantity.rpartition(".")
             if owner in sensors and hasattr(sensors[owner], "noise_at"):
-                noisy.append((compiled.inputs[name], sensors[owner], number_of(sensors[owner], part)))
+                noisy.append((k, sensors[owner], number_of(sensors[owner], part)))
+        parts = slice(inputs, inputs + len(rows)), slice(code, code + len(sampled.code))
         registers = np.array(sampled.found, dtype=np.int64)
         found.append(SampledLaw(law, first, *parts, registers, outputs, delayed, noisy))
         first += len(sampled.held) + delayed * outputs
-        inputs, code = inputs + own, code + len(sampled.code)
+        inputs, code = inputs + len(rows), code + len(sampled.code)
     return found
 
 
@@ -690,15 +690,12 @@ def _note_undefined(laws, registers):
 
 
 @kernel
-def read(laws, inputs, angle, pose, twist, registers):
-    """As `measure`, then write the values of the inputs of a sampled law."""
+def sample(laws, inputs, noise, code, angle, pose, twist, registers):
+    """As `measure`, then the instructions (p, 5) of a sampled law with its inputs (k,) and their noise (k,)."""
     measure(laws, angle, pose, twist, registers)
     read_all(inputs, angle, pose, twist, registers)
-
-
-@kernel
-def compute(laws, code, registers):
-    """Execute the instructions of a sampled law."""
+    for e in range(len(inputs)):
+        registers[inputs[e]["to"], 0] += noise[e]
     evaluate(code, laws.tables, laws.points, registers)
 
 
