@@ -46,9 +46,15 @@ forces:
 - {name: hold, type: servo, joint: hinge, stiffness: 2, damping: 0.1}
 """
 # Sampled laws with periods that steps do not divide, delays and states, and a continuous one that reads their signals.
-SAMPLED = CONTROLLED.replace("name: controlled", "name: sampled").replace(
-    "- {name: hold",
-    """- name: slow
+SENSORS = """sensors:
+- {name: tracker, type: pose, body: tip, frame: {position: [0.1, 0, 0]}, position_noise: 0.01}
+forces:"""
+SAMPLED = (
+    CONTROLLED.replace("name: controlled", "name: sampled")
+    .replace("forces:", SENSORS)
+    .replace(
+        "- {name: hold",
+        """- name: slow
   type: law
   period: 0.0123
   delay: 0.03
@@ -59,14 +65,15 @@ SAMPLED = CONTROLLED.replace("name: controlled", "name: sampled").replace(
 - name: fast
   type: law
   period: 0.004
-  inputs: {lead: slow.lead, x: tip.x, e: pid.e}
-  signals: {u: lead - x - e}
+  inputs: {lead: slow.lead, x: tip.x, e: pid.e, y: tracker.y}
+  signals: {u: lead - x - e + y}
   outputs: [{body: tip, force: [u, 0, 0]}]
 - name: between
   type: law
   inputs: {u: fast.u, w: hinge.velocity}
   outputs: [{joint: hinge, effort: 0.3*u - 0.05*w}]
 - {name: hold""",
+    )
 )
 ACCURACIES = ({"accuracy": 1e-5}, {"accuracy": 1e-3, "horizon": 5.0, "step": 0.1}, {"accuracy": 1e-9, "step": 2e-3})
 SECONDS, COMMANDS = 0.25, 10
