@@ -716,8 +716,6 @@ class Engine:
         self._set_clock(start, start.step if whole else None)
         self._prepared, self._served = self.inputs.changes, -1
         self._work.registers[WITNESS, 0] = 0.0
-        if self._sampling:
-            self._work.targets[-1, 0] = self._sampling.last(start)
         clock.from_step[0], clock.since[0] = self._grid.parts(start)
         clock.to_step[0], clock.until[0] = self._grid.parts(end)
         if self._stop_at is not None:
@@ -729,6 +727,8 @@ class Engine:
     def _set_clock(self, start, steps=None):
         """Set the time of the next step to an Instant; steps : those before it, if whole steps begin there."""
         clock, time = self._work.clock, start.time
+        if self._sampling:
+            self._work.targets[-1, 0] = self._sampling.last(start)  # modes and methods see other inputs
         clock.count[0], clock.offset[0], clock.now[0] = (0.0, time, time) if steps is None else (steps, 0.0, time)
 
     def act_from(self, instant):

@@ -128,6 +128,29 @@ def unit_wrenches(row, pose):
 
 
 @kernel
+def keep_unit(unit, numbers, at):
+    """Write unit wrenches to the rows at .. at + 5 of an array (m, 2)."""
+    for c in range(3):
+        numbers[at + c, 0], numbers[at + c, 1] = unit[0][0][c], unit[0][1][c]
+        numbers[at + 3 + c, 0], numbers[at + 3 + c, 1] = unit[1][0][c], unit[1][1][c]
+
+
+@kernel
+def kept_unit(numbers, at):
+    """Unit wrenches that `keep_unit` has written."""
+    return (
+        (
+            (numbers[at, 0], numbers[at + 1, 0], numbers[at + 2, 0]),
+            (numbers[at, 1], numbers[at + 1, 1], numbers[at + 2, 1]),
+        ),
+        (
+            (numbers[at + 3, 0], numbers[at + 4, 0], numbers[at + 5, 0]),
+            (numbers[at + 3, 1], numbers[at + 4, 1], numbers[at + 5, 1]),
+        ),
+    )
+
+
+@kernel
 def _changes(row, pose, moves, unit):
     """Derivatives of unit wrenches along displacements, see kinds.add_changes."""
     a, b = row["parent"], row["child"]

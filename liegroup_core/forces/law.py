@@ -67,7 +67,7 @@ from .formulas import (
     table_arrays,
 )
 from .instants import exact_seconds
-from .readings import INPUT, POINTS, input_row, names_of, number_of, read_all, read_changes, reading, varies
+from .readings import INPUT, POINTS, RATE, input_row, names_of, number_of, read_all, read_changes, reading, varies
 
 OUTPUT = np.dtype(
     [
@@ -75,6 +75,7 @@ OUTPUT = np.dtype(
         ("registers", "i8", (6,)),  # torque, force; of an effort the first
         ("in_world", "i8"),  # 1: in world axes
         ("point", "f8", (3,)),
+        ("unit", "i8"),  # first of the registers with the unit wrenches of the joint
         *axis.FIELDS,
     ],
     align=True,
@@ -91,6 +92,8 @@ NO_AXIS = axis.fields(False, -1, -1, np.eye(4), np.eye(4))
 class Laws(Struct):
     """All laws of a scene."""
 
+    axes: np.ndarray  # (j,) of axis.ROW: joints that are read or driven
+    units: np.ndarray  # (j, 2) first of the registers with their unit wrenches; 1: also needed without derivatives
     inputs: np.ndarray  # (k,) of INPUT
     code: np.ndarray  # (p, 5) instructions
     kinks: np.ndarray  # (q,) those with branches that can change
@@ -535,7 +538,7 @@ class SampledLaw(NamedTuple):
     found: np.ndarray  # registers of what its instructions compute: states after the instant, signals, outputs
     outputs: int  # number of numbers of its outputs, the last ones
     delayed: int  # number of sets of outputs that wait
-    noisy: list  # [(register, sensor, number)] of its inputs that may have noise
+    noisy: list  # [(number of an input, sensor, number of the sensor)] of those that may have noise
 
     @property
     def names(self):
@@ -551,22 +554,22 @@ def sampled_laws(described, sensors=()):
     found, first, inputs, code, signals = [], 0, 0, 0, set()
     sensors = {each.name: each for each in sensors}
     for law, compiled in _compile_all(described)[2]:
-        own = sum(each.quantity not in signals for each in law.inputs.values())
+        known = {*signals}
         signals |= {f"{law.name}.{name}" for name in compiled.shown}
         if law.period is None:
             continue
         sampled, delayed = compiled.sampled, math.ceil(exact_seconds(law.delay) / exact_seconds(law.period))
         outputs = sum(map(len, compiled.outputs))
-        parts = slice(inputs, inputs + own), slice(code, code + len(sampled.code))
-        noisy = []
-        for name, each in law.inputs.items():
+        noisy, rows = [], [each for each in law.inputs.values() if each.quantity not in known]
+        for k, each in enumerate(rows):
             owner, _, part = each.quantity.rpartition(".")
             if owner in sensors and hasattr(sensors[owner], "noise_at"):
-                noisy.append((compiled.inputs[name], sensors[owner], number_of(sensors[owner], part)))
+                noisy.append((k, sensors[owner], number_of(sensors[owner], part)))
+        parts = slice(inputs, inputs + len(rows)), slice(code, code + len(sampled.code))
         registers = np.array(sampled.found, dtype=np.int64)
         found.append(SampledLaw(law, first, *parts, registers, outputs, delayed, noisy))
         first += len(sampled.held) + delayed * outputs
-        inputs, code = inputs + own, code + len(sampled.code)
+        inputs, code = inputs + len(rows), code + len(sampled.code)
     return found
 
 
@@ -585,7 +588,16 @@ def make_laws(described, index, ends, angles, slides, first, sensors=()):
     outputs, states, held, start, sampled_code, results, shown = [], [], [], [], [], [], []
     reads = {False: [], True: []}  # of continuous laws, and of sampled ones
     waiting = iter(sampled_laws(described))
-    sensors = {each.name: each for each in sensors}
+    sensors, joints = {each.name: each for each in sensors}, {}
+
+    def unit_of(joint, always):
+        """First register of the unit wrenches of a joint."""
+        first, before = joints.get(joint) or (len(program.registers), False)
+        if joint not in joints:
+            program.registers += [0.0] * 6
+        joints[joint] = first, before or always
+        return first
+
     for law, compiled in found:
         inputs = reads[law.period is not None]
         if law.period is None:
@@ -603,18 +615,21 @@ def make_laws(described, index, ends, angles, slides, first, sensors=()):
                 continue
             found = reading(each.quantity, ends, sensors, each.point)
             motion = axis.fields(found.joint in slides, *ends[found.joint]) if found.joint else NO_AXIS
-            inputs.append(input_row(found, compiled.inputs[name], index, angles, motion))
+            unit = unit_of(found.joint, found.what == RATE) if found.joint else -1
+            inputs.append(input_row(found, compiled.inputs[name], index, angles, unit, motion))
         for each, own in zip(law.outputs, compiled.outputs):
             if each.joint is not None:
                 motion = axis.fields(each.joint in slides, *ends[each.joint])
-                outputs.append((-1, own * 6, 0, each.point, *motion))
+                outputs.append((-1, own * 6, 0, each.point, unit_of(each.joint, True), *motion))
             elif each.body is not None:
-                outputs.append((index[each.body], own, each.axes == "world", each.point, *NO_AXIS))
+                outputs.append((index[each.body], own, each.axes == "world", each.point, -1, *NO_AXIS))
     begins, points = table_arrays(program.tables)
     registers = np.zeros((len(program.registers), 2))
     registers[:, 0] = program.registers
     inputs, sampled_inputs = (np.array(rows, dtype=INPUT) for rows in reads.values())
     return Laws(
+        axes=np.array([axis.fields(joint in slides, *ends[joint]) for joint in joints], dtype=axis.ROW),
+        units=np.array(list(joints.values()), dtype=np.int64).reshape(-1, 2),
         inputs=inputs,
         code=np.array(program.code, dtype=np.int64).reshape(-1, 5),
         kinks=np.array(program.branched({*results}), dtype=np.int64),
@@ -662,6 +677,9 @@ def _read(laws, angle, pose, twist, registers):
     for j in range(len(laws.held)):
         if laws.held[j] >= 0:
             registers[laws.held[j], 0] = angle[laws.first + j]
+    for e in range(len(laws.axes)):
+        if laws.units[e, 1] == 1:
+            axis.keep_unit(axis.unit_wrenches(laws.axes[e], pose), registers, laws.units[e, 0])
     read_all(laws.inputs, angle, pose, twist, registers)
 
 
@@ -832,15 +850,12 @@ def _note_undefined(laws, registers):
 
 
 @kernel
-def read(laws, inputs, angle, pose, twist, registers):
-    """As `measure`, then write the values of the inputs of a sampled law."""
+def sample(laws, inputs, noise, code, angle, pose, twist, registers):
+    """As `measure`, then the instructions (p, 5) of a sampled law with its inputs (k,) and their noise (k,)."""
     measure(laws, angle, pose, twist, registers)
     read_all(inputs, angle, pose, twist, registers)
-
-
-@kernel
-def compute(laws, code, registers):
-    """Execute the instructions of a sampled law."""
+    for e in range(len(inputs)):
+        registers[inputs[e]["to"], 0] += noise[e]
     evaluate(code, laws.tables, laws.points, registers)
 
 
@@ -850,7 +865,8 @@ def add_wrench(laws, registers, pose, wrench_out):
     for e in range(len(laws.outputs)):
         row = laws.outputs[e]
         if row["body"] < 0:
-            axis.apply(row, axis.unit_wrenches(row, pose), registers[row["registers"][0], 0], wrench_out)
+            effort = registers[row["registers"][0], 0]
+            axis.apply(row, axis.kept_unit(registers, row["unit"]), effort, wrench_out)
         else:
             torque, force = _wrench(row, registers, 0)
             torque, force = _in_body(row, pose, torque, force)
@@ -864,7 +880,7 @@ def power(laws, registers, pose, twist):
     for e in range(len(laws.outputs)):
         row = laws.outputs[e]
         if row["body"] < 0:
-            rate = axis.rate(row, axis.unit_wrenches(row, pose), twist)
+            rate = axis.rate(row, axis.kept_unit(registers, row["unit"]), twist)
             total += registers[row["registers"][0], 0] * rate
         else:
             torque, force = _wrench(row, registers, 0)
@@ -877,6 +893,9 @@ def power(laws, registers, pose, twist):
 def measure_changes(laws, angle, pose, twist, moves, rates, registers):
     """As `measure`, also the derivatives along displacements, see kinds.add_changes."""
     _read(laws, angle, pose, twist, registers)
+    for e in range(len(laws.axes)):
+        if laws.units[e, 1] == 0:
+            axis.keep_unit(axis.unit_wrenches(laws.axes[e], pose), registers, laws.units[e, 0])
     read_changes(laws.inputs, pose, twist, moves, rates, registers)
     _differentiate(laws, registers)
     if _open_branches(laws, registers, 1):
@@ -891,7 +910,7 @@ def add_change(laws, registers, pose, twist, moves, rates, wrench_out):
         body = row["body"]
         if body < 0:
             at = row["registers"][0]
-            unit = axis.unit_wrenches(row, pose)
+            unit = axis.kept_unit(registers, row["unit"])
             axis.add_change(
                 row, unit, pose, twist, moves, rates, registers[at, 0], 0.0, 0.0, registers[at, 1], wrench_out
             )

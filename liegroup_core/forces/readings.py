@@ -37,6 +37,7 @@ INPUT = np.dtype(
         ("offset", "f8"),
         ("resolution", "f8"),
         ("angle", "i8"),  # index of the unwrapped angle, or -1
+        ("unit", "i8"),  # first of the registers with the unit wrenches of the joint, see axis.keep_unit
         *axis.FIELDS,
     ],
     align=True,
@@ -158,15 +159,16 @@ def varies(sensor, number):
     return number < len(noise) and noise[number] > 0.0 or getattr(sensor, "resolution", None) is not None
 
 
-def input_row(found, to, index, angles, motion):
+def input_row(found, to, index, angles, unit, motion):
     """Record of INPUT of a Reading.
 
-    to : register;  index : {body: number};  angles : {joint: index of its angle};  motion : axis.fields of its joint
+    to, unit : registers;  index : {body: number};  angles : {joint: index of its angle}
+    motion : axis.fields of its joint
     """
     bodies = [index[body] if body else -1 for body in (found.body, found.other)]
     where = found.point, found.other_point, np.ravel(found.axes), found.direction
     row = found.what, found.component, to, *bodies, *where, found.offset, found.resolution
-    return *row, angles.get(found.joint, -1), *motion
+    return *row, angles.get(found.joint, -1), unit, *motion
 
 
 @kernel
@@ -231,7 +233,7 @@ def read_all(inputs, angle, pose, twist, registers):
         if what == POSITION:
             value = axis.coordinate(row, pose, angle[row["angle"]] if row["angle"] >= 0 else 0.0)
         elif what == RATE:
-            value = axis.rate(row, axis.unit_wrenches(row, pose), twist)
+            value = axis.rate(row, axis.kept_unit(registers, row["unit"]), twist)
         elif what == PLACE:
             value = point(pose, body, vector3(row["point"]))[k]
         elif what == ATTITUDE:
@@ -261,9 +263,9 @@ def read_changes(inputs, pose, twist, moves, rates, registers):
         row = inputs[e]
         what, k, body, value = row["what"], row["component"], row["body"], 0.0
         if what == POSITION:
-            value = axis.rate(row, axis.unit_wrenches(row, pose), moves)
+            value = axis.rate(row, axis.kept_unit(registers, row["unit"]), moves)
         elif what == RATE:
-            value = axis.rate_change(row, axis.unit_wrenches(row, pose), pose, twist, moves, rates)
+            value = axis.rate_change(row, axis.kept_unit(registers, row["unit"]), pose, twist, moves, rates)
         elif what == PLACE:
             value = point_velocity(pose, moves, body, vector3(row["point"]))[k]
         elif what == ATTITUDE:

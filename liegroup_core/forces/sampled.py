@@ -15,22 +15,28 @@ At an instant at which outputs of several laws start and laws are evaluated, out
 a state at an instant is one after it: what stands there has passed it.
 """
 
+import math
+from fractions import Fraction
+
 import numpy as np
 
-from .instants import BEFORE, exact_seconds
+from .instants import BEFORE, NS, exact_seconds, nearest_whole
 from .kinds import registers_at
-from .law import compute, read, sampled_laws, undefined_text
+from .law import sample, sampled_laws, undefined_text
 
 
 class _Times:
     """Instants of the multiples of a period, from a first time on; grid : StepGrid."""
 
     def __init__(self, period, first, grid):
-        self._period, self._first, self._grid = period, first, grid
+        self._period, self._first, self._grid = float(period), float(first), grid
+        # Numbers of ns as ratios of whole numbers: an Instant of a Fraction takes ten times as long.
+        self._parts = math.lcm((first * NS).denominator, (period * NS).denominator)
+        self._begin, self._size = (int(each * NS * self._parts) for each in (first, period))
         self._last, self._next, self._number = BEFORE, self._at(0), 0
 
     def _at(self, number):
-        return self._grid.instant(self._first + number * self._period)
+        return self._grid.marked(nearest_whole(self._begin + number * self._size, self._parts))
 
     def after(self, now):
         """The first one after an Instant."""
@@ -38,7 +44,7 @@ class _Times:
             if self._last <= now:
                 self._go_on()
             if not self._last <= now < self._next:
-                passed = (now.time - float(self._first)) / float(self._period)
+                passed = (now.time - self._first) / self._period
                 self._number = max(0, int(passed) - 1)  # round-off of the time is below one period
                 self._last, self._next = BEFORE, self._at(self._number)
             while self._next <= now:
@@ -57,6 +63,8 @@ class _Times:
 
 def _undefined(each, values, time):
     """Text on states or outputs of a sampled law that are not finite, or ""."""
+    if np.isfinite(values).all():
+        return ""
     law, names = each.law, each.law._names_held()
     first, end = len(law.states), len(law.states) + len(law.signals)
     lost = np.flatnonzero(~np.isfinite(values))
@@ -76,7 +84,7 @@ class Sampling:
         self._samples, self._starts = [], []  # _Times, the latter None without a delay
         for each in self._laws:
             period, delay = exact_seconds(each.law.period), exact_seconds(each.law.delay)
-            self._samples.append(_Times(period, 0, grid))
+            self._samples.append(_Times(period, Fraction(0), grid))
             self._starts.append(_Times(period, delay % period, grid) if each.delayed else None)
         self._times = [each for each in (*self._samples, *self._starts) if each is not None]
 
@@ -124,10 +132,11 @@ class Sampling:
         for each, times in zip(self._laws, self._samples):
             if times.has(now):
                 registers = registers_at(self._forces, now.time, angles)
-                read(laws, laws.sampled_inputs[each.inputs], angles, pose, twist, registers)
-                for register, sensor, number in each.noisy:
-                    registers[register, 0] += sensor.noise_at(self._grid.time_ns(now))[number]
-                compute(laws, laws.sampled_code[each.code], registers)
+                inputs = laws.sampled_inputs[each.inputs]
+                noise = np.zeros(len(inputs))
+                for k, sensor, number in each.noisy:
+                    noise[k] = sensor.noise_at(self._grid.time_ns(now))[number]
+                sample(laws, inputs, noise, laws.sampled_code[each.code], angles, pose, twist, registers)
                 values, own = registers[each.found, 0], self._own(each, angles)
                 shown = len(values) - each.outputs
                 own[:shown] = values[:shown]

@@ -297,7 +297,7 @@ def _set_row(row, body, spans, offsets):
         else:
             row[6:12] += wrench
             if span.point is not None:
-                row[15:] += np.outer(span.point, wrench[3:]).ravel()
+                row[15:24] += np.outer(span.point, wrench[3:]).ravel()
 
 
 def _independent(system, rows):

@@ -37,7 +37,7 @@ class JointInput(CountedInput):
     Other arguments are those of CountedInput.
 
     joints     : {name in messages: joint of the scene} of the joints with one coordinate
-    servos     : {name in messages: whether its servo needs a target position}
+    servos     : {name in messages: whether its servo needs a target position}, without those that laws lead
     driven     : names in messages of the driven joints
     most_names : largest number of names in a message
     limits     : {joint of the scene: Limits}
@@ -53,13 +53,14 @@ class JointInput(CountedInput):
             self._others |= scene.robot.still.keys()
         self._others -= self.joints.keys()
         self.most_names = len(self.joints) + len(self._others)
-        found = servos(scene.forces)
+        found = [servo for servo in servos(scene.forces) if servo.joint not in layout.leaders]
         labels = joint_labels([servo.joint for servo in found], scene.robot)
         self.servos = {label: servo.stiffness > 0.0 for label, servo in zip(labels, found)}
         self.driven = {name for name, joint in self.joints.items() if joint in layout.motions}
         shown = dict(zip(names, joint_labels(names, scene.robot)))
         rigid = [c for c in scene.couplings if c.joint in shown and not c.backlash]
         self._leaders = {shown[c.joint]: shown.get(c.other, c.other) for c in rigid}
+        self._laws = {shown[joint]: law for joint, law in layout.leaders.items() if joint in shown}
 
     @property
     def follows(self):
@@ -68,6 +69,8 @@ class JointInput(CountedInput):
 
     def no_servo(self, name, text):
         """Refuse a position or velocity for a joint without a servo; text : what it lacks. Raises Refusal."""
+        if law := self._laws.get(name):
+            self.refuse("no_servo", lambda: f"{name} follows the law {law}, whose output is the target of its servo")
         leader = self._leaders.get(name)
         advice = f"it follows {leader}: command that joint" if leader else "change the scene"
         self.refuse("no_servo", lambda: f"{name} {text}: {advice}")

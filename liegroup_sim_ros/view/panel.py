@@ -182,7 +182,7 @@ class Panel:
 
     def _joints(self, source):
         gui, layout = self._gui, source.layout
-        servos = set(layout.servos)
+        servos = layout.servos.keys() - layout.leaders.keys()
         movable = ((joint, *_range(layout, joint)) for joint in layout.coordinates.names if joint in layout.limits)
         shown = list(itertools.islice((each for each in movable if each[2] < each[3]), MOST_JOINTS))
         if "place" in source.takes:

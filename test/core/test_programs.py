@@ -50,9 +50,15 @@ KINKED = CONTROLLED.replace(",\n   limits: {lower: -0.3, upper: 0.95, restitutio
     "effort: a}", 'effort: "a - 0.3*(1 if w > 0 else -1) - 4*max(q - 0.4, 0)"}'
 )
 # Sampled laws with periods that steps do not divide, delays and states, and a continuous one that reads their signals.
-SAMPLED = CONTROLLED.replace("name: controlled", "name: sampled").replace(
-    "- {name: hold",
-    """- name: slow
+SENSORS = """sensors:
+- {name: tracker, type: pose, body: tip, frame: {position: [0.1, 0, 0]}, position_noise: 0.01}
+forces:"""
+SAMPLED = (
+    CONTROLLED.replace("name: controlled", "name: sampled")
+    .replace("forces:", SENSORS)
+    .replace(
+        "- {name: hold",
+        """- name: slow
   type: law
   period: 0.0123
   delay: 0.03
@@ -63,14 +69,15 @@ SAMPLED = CONTROLLED.replace("name: controlled", "name: sampled").replace(
 - name: fast
   type: law
   period: 0.004
-  inputs: {lead: slow.lead, x: tip.x, e: pid.e}
-  signals: {u: lead - x - e}
+  inputs: {lead: slow.lead, x: tip.x, e: pid.e, y: tracker.y}
+  signals: {u: lead - x - e + y}
   outputs: [{body: tip, force: [u, 0, 0]}]
 - name: between
   type: law
   inputs: {u: fast.u, w: hinge.velocity}
   outputs: [{joint: hinge, effort: 0.3*u - 0.05*w}]
 - {name: hold""",
+    )
 )
 # Contacts: a ball that slides on a plane and meets another one.
 TOUCHING = """

@@ -282,3 +282,33 @@ def test_what_needs_derivatives_refuses_a_sampled_law():
     ):
         with pytest.raises(SceneError, match=reason):
             ask()
+
+
+def test_dry_friction_gives_way_at_the_instant_of_a_larger_effort():
+    """A wheel of inertia 0.2 that friction of 1 N m holds: efforts of 0.9 and then 3 N m, later 0.5, in closed form."""
+    text = """
+name: wheel
+gravity: [0, 0, 0]
+bodies:
+- {name: wheel, mass: 1, inertia: [0.2, 0.2, 0.2]}
+joints:
+- {name: axle, type: revolute, parent: world, child: wheel, parent_frame: {axis: [0, 0, 1]}, friction: {coulomb: 1}}
+forces:
+- {name: own, type: law, period: 0.013, delay: 0.1, outputs: [{joint: axle, effort: "EFFORT"}]}
+"""
+    scene = scene_from_text(text.replace("EFFORT", "0.9 if t < 0.39 else (3 if t < 0.65 else 0.5)"), "test")
+    # Efforts start 0.1 s after the instants 0.39 s and 0.65 s.
+    starts, stops = 30 * 0.013 + 0.1, 50 * 0.013 + 0.1
+    speed = (3 - 1) / 0.2 * (stops - starts)
+    rest = stops + speed * 0.2 / (1 - 0.5)
+    angle = 0.5 * speed * (rest - starts)
+    for settings in ({"accuracy": 1e-9}, {"method": "rkmk4", "step": 4e-3}, {"method": "radau5", "step": 0.01}):
+        simulation = Simulation(scene, quiet=True, **settings)
+        simulation.advance_to(starts)
+        assert tuple(simulation.sample().joint_coordinates["axle"]) == (0.0, 0.0)
+        simulation.advance_to(stops)
+        q, w = simulation.sample().joint_coordinates["axle"]
+        assert (q, w) == pytest.approx((0.5 * speed * (stops - starts), speed), abs=1e-9), settings
+        simulation.advance_to(rest + 0.5)
+        q, w = simulation.sample().joint_coordinates["axle"]
+        assert (q, w) == pytest.approx((angle, 0.0), abs=1e-8), settings

@@ -70,6 +70,17 @@ def test_positions_and_velocities_are_targets_of_servos(layout):
     assert found == Command(TARGET, "pin", (0.0, 3.0))
 
 
+def test_a_servo_that_a_law_leads_takes_no_target():
+    scene = scene_from_text(SCENE)
+    (servo,) = [force for force in scene.forces if force.type == "servo"]
+    lead = {"type": "law", "name": "lead", "outputs": [{"servo": servo.name, "position": "sin(t)"}]}
+    reader = JointCommandInput(make_layout(scene.remade(forces=[*scene.forces, lead])), 0.02)
+    with pytest.raises(Refusal, match="pin follows the law lead, whose output is the target of its servo"):
+        reader.read(message(["pin"], position=[1.0]), NOW, 0, None)
+    (found,) = reader.read(message(["pin"], effort=[1.0]), NOW, 0, None)
+    assert found.kind == EFFORT
+
+
 @pytest.mark.parametrize(
     "stamp_ns, start_ns", [(0, None), (NOW - 1, None), (NOW, None), (NOW + 1, NOW + 1), (NOW - 10**9, None)]
 )
