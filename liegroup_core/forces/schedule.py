@@ -52,8 +52,8 @@ class ScheduledCommand(NamedTuple):
 
     @property
     def changes(self):
-        """{(number, axes)} of the totals on which it acts."""
-        return {(number, axes) for axes, number, _ in self.parts}
+        """[(number, axes)] of the totals on which it acts."""
+        return [(number, axes) for axes, number, _ in self.parts]
 
     @property
     def of_scene(self):
@@ -97,8 +97,7 @@ class Schedule:
         self.waiting = self._scene[passed:]  # [ScheduledCommand] in the order of their starts
         found = {entry.key: entry for entry in self._scene[:passed]}
         self._acting = {key: entry for key, entry in found.items() if entry.end > instant}
-        for changed in {changed for entry in self._acting.values() for changed in entry.changes}:
-            self._add_up(*changed)
+        self._add_up({changed for entry in self._acting.values() for changed in entry.changes})
         self._arrived, self._known, self.reached = 0, None, instant
 
     def held(self):
@@ -161,8 +160,7 @@ class Schedule:
         if command.kind == MOTION:
             self._discard(key, BEFORE)
         self._acting[key] = entry = ScheduledCommand(BEFORE, end, self._arrived, key, parts, command)
-        for changed in entry.changes:
-            self._add_up(*changed)
+        self._add_up(entry.changes)
         self._known = None
 
     def motion_at(self, drive, instant):
@@ -222,30 +220,31 @@ class Schedule:
         started = bisect.bisect_right(self.waiting, instant, key=_start)
         for entry in self.waiting[:started]:
             before = self._acting.get(entry.key)
-            touched |= entry.changes | (before.changes if before else set())
+            touched.update(entry.changes, before.changes if before else ())
             self._acting[entry.key] = entry
         del self.waiting[:started]
         for key, entry in list(self._acting.items()):
             if entry.end <= instant or entry.ends_at_once:
-                touched |= entry.changes
+                touched.update(entry.changes)
                 del self._acting[key]
-        return [changed for changed in sorted(touched) if self._add_up(*changed)]
+        return self._add_up(touched)
 
-    def _add_up(self, number, axes):
-        """Set a total; returns whether it has changed."""
+    def _add_up(self, touched):
+        """Set totals [(number, axes)]; returns those that have changed, in order."""
+        parts = {each: [] for each in sorted(touched)}
         # Sorted by key, so that the sum of the same wrenches is always bit-identical.
-        parts = [
-            values
-            for _, entry in sorted(self._acting.items())
-            for kind, where, values in entry.parts
-            if (where, kind) == (number, axes)
-        ]
-        # For six numbers, plain Python is several times faster than NumPy.
-        total = [reduce(add, column) for column in zip(*parts)] or self._idle[axes][number].tolist()
-        if total == self.total[axes][number].tolist():
-            return False
-        self.total[axes][number] = total
-        return True
+        for _, entry in sorted(self._acting.items()):
+            for axes, number, values in entry.parts:
+                if (number, axes) in parts:
+                    parts[number, axes].append(values)
+        changed = []
+        for (number, axes), rows in parts.items():
+            # For six numbers, plain Python is several times faster than NumPy.
+            total = [reduce(add, column) for column in zip(*rows)] or self._idle[axes][number].tolist()
+            if total != self.total[axes][number].tolist():
+                self.total[axes][number] = total
+                changed.append((number, axes))
+        return changed
 
     def next_after(self, instant):
         """Instant up to which totals stay as they are at an Instant, at least."""

@@ -11,7 +11,6 @@ is base_ns. With "all" the message has all commands that act or wait, for subscr
 import json
 
 from liegroup_core.forces.commands import Command
-from liegroup_core.state import encoded
 
 from .codecs import Fields, MessageError
 from .description import TYPE
@@ -23,7 +22,7 @@ _as_text = json.JSONEncoder(separators=(",", ":")).encode
 
 def encode(base_ns, commands, everything=False):
     """Serialized message of Commands."""
-    entries = {"base_ns": base_ns, "all": everything, "commands": encoded(list(commands))}
+    entries = {"base_ns": base_ns, "all": everything, "commands": [command.as_json() for command in commands]}
     return string_message(_as_text(entries))
 
 
