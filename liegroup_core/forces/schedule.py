@@ -114,7 +114,7 @@ class Schedule:
 
     def __len__(self):
         """Number of commands that act or start later, without those of the scene."""
-        return sum(not entry.of_scene for entry in (*self.waiting, *self._acting.values()))
+        return sum([entry.number >= 0 for entry in (*self.waiting, *self._acting.values())])
 
     @property
     def acting(self):

@@ -385,6 +385,8 @@ class Sample:
     @cached_property
     def servo_efforts(self) -> dict[str, float]:
         """{joint: effort of its servo}, N m or N, within its limit."""
+        if not self._layout.servos:
+            return {}
         return {servo.joint: self.force_efforts[servo.name] for servo in kinds.servos(self.scene.forces)}
 
     @property
