@@ -109,9 +109,8 @@ class Inputs:
             self.log = []
 
     def _note_ends(self):
-        commands = [entry.command for entry in self.schedule.acting]
-        ends = {command.end_ns for command in commands if command.kind in LOADS}
-        self.known_end = min([*map(self._at_mark, ends), self.schedule.next_of_scene])
+        ends = map(self._at_mark, self.schedule.ends_of(LOADS))
+        self.known_end = min([*ends, self.schedule.next_of_scene])
 
     @property
     def commands(self):
@@ -162,7 +161,7 @@ class Inputs:
     def _insert(self, command, begin, end, start_ns, end_ns):
         """Take a Command from an Instant on, up to another one; with their marks."""
         self.changes += 1
-        command = command._replace(start_ns=start_ns, end_ns=end_ns)
+        command = Command(*command[:3], start_ns, end_ns, *command[5:])
         if command.kind == CLEAR:
             self.schedule.clear(command.source, begin)
         else:

@@ -53,9 +53,10 @@ def set_wrench(external, body, wrench, axes):
     if not any(wrench):
         wrench = (0.0,) * len(wrench)  # no negative zeros: equal totals have equal bits
     if axes == "body":
+        com = tuple(external[body, 12:15].tolist())
+        if any(com):  # otherwise the numbers stay bit-identical
+            wrench = (*sub3(wrench[:3], cross3(com, tuple(wrench[3:]))), *wrench[3:])
         external[body, :6] = wrench
-        if any(external[body, 12:15].tolist()):  # otherwise the numbers stay bit-identical
-            external[body, :3] -= _moment(external[body, 12:15], external[body, 3:6])
         return
     first = 6 if axes == "world" else 16
     external[body, first : first + len(wrench)] = wrench

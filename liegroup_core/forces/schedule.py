@@ -19,7 +19,7 @@ do not see or clear them, and they act from the end of a step on, before the nex
 """
 
 import bisect
-from functools import reduce
+from functools import partial, reduce
 from operator import add, attrgetter
 from typing import NamedTuple
 
@@ -121,6 +121,11 @@ class Schedule:
         """[ScheduledCommand] that act, in an order that does not depend on that of their arrival; not of the scene."""
         return [entry for _, entry in sorted(self._acting.items()) if not entry.of_scene]
 
+    def ends_of(self, kinds):
+        """Ends in ns, as they were given, of the commands of some kinds that act; not of the scene."""
+        entries = self._acting.values()
+        return {entry.command.end_ns for entry in entries if entry.number >= 0 and entry.command.kind in kinds}
+
     @property
     def later(self):
         """[ScheduledCommand] that start later, without those of the scene."""
@@ -147,8 +152,12 @@ class Schedule:
         if command.kind == MOTION:
             self._discard(key, start)
         entry = ScheduledCommand(start, end, self._arrived, key, parts, command)
-        bisect.insort(self.waiting, entry, key=_by_start)
-        self._known = None
+        if self.waiting and start < self.waiting[-1].start:
+            bisect.insort(self.waiting, entry, key=_by_start)
+        else:
+            self.waiting.append(entry)
+        if self._known:
+            self._known = min(start, self._known[0]), self._known[1]
 
     def _discard(self, key, start):
         """Discard what waits with a key and starts at an Instant or later."""
@@ -202,13 +211,17 @@ class Schedule:
         return (self._known or self._next_times())[1]
 
     def _next_times(self):
-        acting = self._acting.values()
-        ends = [BEFORE if entry.ends_at_once else entry.end for entry in acting]
-        later = next((entry.start for entry in self.waiting if entry.of_scene), AFTER)
-        self._known = (
-            min([*ends, *(entry.start for entry in self.waiting[:1])], default=AFTER),
-            min([later, *(entry.end for entry in acting if entry.of_scene)]),
-        )
+        first = self.waiting[0].start if self.waiting else AFTER
+        of_scene = next((entry.start for entry in self.waiting if entry.of_scene), AFTER)
+        for entry in self._acting.values():
+            end = entry.end
+            if end < first:
+                first = end
+            if entry.number < 0 and end < of_scene:
+                of_scene = end
+            if entry.ends_at_once:
+                first = BEFORE
+        self._known = first, of_scene
         return self._known
 
     def update(self, instant):
@@ -240,7 +253,7 @@ class Schedule:
         changed = []
         for (number, axes), rows in parts.items():
             # For six numbers, plain Python is several times faster than NumPy.
-            total = [reduce(add, column) for column in zip(*rows)] or self._idle[axes][number].tolist()
+            total = list(reduce(partial(map, add), rows)) if rows else self._idle[axes][number].tolist()
             if total != self.total[axes][number].tolist():
                 self.total[axes][number] = total
                 changed.append((number, axes))
