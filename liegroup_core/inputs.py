@@ -56,7 +56,8 @@ class Inputs:
         self._bodies = {name: i for i, name in enumerate(layout.body_names)}
         self._drives, self._servos = tuple(layout.motions), tuple(layout.servos)
         self._units = {
-            joint: [(body, tuple(unit.tolist())) for body, unit in parts] for joint, parts in layout.unit_efforts.items()
+            joint: [(body, tuple(unit.tolist())) for body, unit in parts]
+            for joint, parts in layout.unit_efforts.items()
         }
         self._found = (None,) * 4  # the last present time, start and duration of commands, and their interval
         scene = []

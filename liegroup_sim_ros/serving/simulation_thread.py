@@ -44,7 +44,8 @@ class SimulationServer(SimulationCommands, threading.Thread):
 
     simulation : liegroup_core.Simulation; only this thread uses it from `start` to its end
     output     : Outputs, or an object with the attributes timed, state_rate, targets, motions, impulses and
-                 the methods hold, release, at_step, state, inputs, all_inputs, servo_targets, prescribed, event, diagnostics;
+                 the methods hold, release, at_step, state, inputs, all_inputs, servo_targets, prescribed, event and
+                 diagnostics;
                  joint_modes if joints have stops or friction; impact if impulses is not empty; listeners,
                  publish_clock and publish_again with a lockstep
     factor     : real-time factor, 0: as fast as possible
