@@ -22,8 +22,7 @@ import time
 from pathlib import Path
 
 os.environ.setdefault("ROS_DOMAIN_ID", str(random.randint(1, 100)))
-# A process that is killed leaves shared memory locked.
-os.environ |= {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 
 import rclpy  # noqa: E402  (reads the domain from the environment)
 from geometry_msgs.msg import WrenchStamped  # noqa: E402

@@ -55,6 +55,11 @@ class Inputs:
         self._layout, self._grid, self._engine, self._tell = layout, grid, engine, tell
         self._bodies = {name: i for i, name in enumerate(layout.body_names)}
         self._drives, self._servos = tuple(layout.motions), tuple(layout.servos)
+        self._units = {
+            joint: [(body, tuple(unit.tolist())) for body, unit in parts]
+            for joint, parts in layout.unit_efforts.items()
+        }
+        self._found = (None,) * 4  # the last present time, start and duration of commands, and their interval
         scene = []
         for k, (start, end, command) in enumerate(layout.commands):
             key, parts = self._effects(command)
@@ -105,8 +110,7 @@ class Inputs:
             self.log = []
 
     def _note_ends(self):
-        commands = [entry.command for entry in self.schedule.acting]
-        ends = [self._end(command) for command in commands if command.kind in LOADS]
+        ends = map(self._at_mark, self.schedule.ends_of(LOADS))
         self.known_end = min([*ends, self.schedule.next_of_scene])
 
     @property
@@ -139,21 +143,26 @@ class Inputs:
         return self._end(command) if command.cleared_ns is None else self._grid.marked(command.cleared_ns)
 
     def _end(self, command):
-        return AFTER if command.end_ns is None else self._grid.marked(command.end_ns)
+        return self._at_mark(command.end_ns)
+
+    def _at_mark(self, end_ns):
+        return AFTER if end_ns is None else self._grid.marked(end_ns)
 
     def accept(self, command):
         """Take a Command without checks of limits; one that is late starts with the next step.
 
         Raises ValueError for an unknown body or joint.
         """
-        self._insert(command, max(self._engine.now, self._grid.marked(command.start_ns)), self._end(command))
+        begin, end = max(self._engine.now, self._grid.marked(command.start_ns)), self._end(command)
+        self._insert(command, begin, end, *self._marks(begin, end))
 
-    def _insert(self, command, begin, end):
-        """Take a Command from an Instant on, up to another one."""
+    def _marks(self, begin, end):
+        return self._grid.mark(begin), None if end == AFTER else self._grid.mark(end)
+
+    def _insert(self, command, begin, end, start_ns, end_ns):
+        """Take a Command from an Instant on, up to another one; with their marks."""
         self.changes += 1
-        command = command._replace(
-            start_ns=self._grid.mark(begin), end_ns=None if end == AFTER else self._grid.mark(end)
-        )
+        command = Command(*command[:3], start_ns, end_ns, *command[5:])
         if command.kind == CLEAR:
             self.schedule.clear(command.source, begin)
         else:
@@ -179,9 +188,10 @@ class Inputs:
             parts = [(PULLED, self._bodies[name], (*values[:5], *(command.point or (0.0, 0.0, 0.0)), *values[5:]))]
             key = "", PULL, parts[0][1]
         elif kind == EFFORT:
-            check_name(name, self._layout.unit_efforts, "joint {} is not a joint with one coordinate")
-            parts = [(BODY, body, values[0] * unit) for body, unit in self._layout.unit_efforts[name]]
-            key = source, name, -1
+            check_name(name, self._units, "joint {} is not a joint with one coordinate")
+            effort = float(values[0])
+            parts = [(BODY, body, tuple([effort * number for number in unit])) for body, unit in self._units[name]]
+            return (source, name, -1), tuple(parts)
         elif kind == TARGET:
             parts = [(SERVO, self._servo(name), values)]
             key = "", SERVO, parts[0][1]
@@ -351,9 +361,14 @@ class Inputs:
 
     def _take(self, command, start, duration):
         """Take a Command from a time in s on and for a duration in s; see `_interval`."""
-        begin, end = self._interval(command.name, start, duration)
-        if begin < end:
-            self._insert(command, begin, end)
+        now = self._engine.now
+        # The commands of one message share all three.
+        if not (now is self._found[0] and start is self._found[1] and duration is self._found[2]):
+            begin, end = self._interval(command.name, start, duration)
+            if begin == end:
+                return
+            self._found = now, start, duration, (begin, end, *self._marks(begin, end))
+        self._insert(command, *self._found[3])
 
     def _servo(self, joint):
         """Number of the servo of a joint. Raises ValueError for a joint without one, or with one that a law leads."""
@@ -385,7 +400,7 @@ class Inputs:
         """
         planned = self._planned(joint, times, positions, velocities, accelerations, start)
         for instant, row in planned:
-            self._insert(Command(MOTION, joint, tuple(row.tolist())), instant, AFTER)
+            self._insert(Command(MOTION, joint, tuple(row.tolist())), instant, AFTER, *self._marks(instant, AFTER))
 
     def check_motion(self, joint, times, positions, velocities=None, accelerations=None, start=None):
         """Raise the errors of `command_motion` without commanding anything."""
@@ -486,7 +501,8 @@ class Inputs:
     def clear_wrenches(self, source: str = "api") -> None:
         """End all wrenches, pulls and efforts of a source, also those that start later."""
         if source in self.schedule.sources:
-            self._insert(Command(CLEAR, "", (), None, None, source), self._engine.now, AFTER)
+            now = self._engine.now
+            self._insert(Command(CLEAR, "", (), None, None, source), now, AFTER, *self._marks(now, AFTER))
 
     def drain_applied(self) -> list[Command]:
         """Return the inputs since the last call: commands, and new targets and motions where they start.
@@ -514,7 +530,7 @@ class Inputs:
             elif axes == DRIVE:
                 self.acting.motions[number] = total
             else:
-                set_wrench(self.acting.external, number, total, axes)
+                set_wrench(self.acting.external, number, total.tolist(), axes)
                 continue
             if self.log is not None and (axes == SERVO or self._drives[number] in commanded):
                 kind, names = (TARGET, self._servos) if axes == SERVO else (MOTION, self._drives)

@@ -12,8 +12,10 @@ from functools import partial
 
 from rclpy.clock import Clock, ClockType
 
-NS = 10**9
-QUIET = 0.4  # s of wall time without a state, after which that is logged, in twice that at most
+from liegroup_core.forces.instants import NS, nearest_whole
+
+# s of wall time without a state after which that is logged, and between two looks; a stop of this process is one look
+QUIET, LOOK = 0.4, 0.1
 
 
 class Controller:
@@ -28,21 +30,23 @@ class Controller:
     """
 
     def __init__(self, node, rate, states, answer, compute):
-        self._node, self._rate, self._compute = node, Fraction(rate).limit_denominator(10**6), compute
+        self._node, self._compute = node, compute
+        periods, seconds = Fraction(rate).limit_denominator(10**6).as_integer_ratio()
+        self._period = seconds * NS, periods  # ns, a ratio
         self._latest, self._answered, self._message = [None] * len(states), None, None
         self._publisher = node.create_publisher(answer[1], answer[0], 10)
         for k, (topic, kind) in enumerate(states):
             node.create_subscription(kind, topic, partial(self._take, k), 10)
-        self._is_new, self._said = False, None
-        node.create_timer(QUIET, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._looks, self._said = 0, None  # looks since the last state
+        node.create_timer(LOOK, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _take(self, k, message):
         stamp = message.header.stamp
-        self._latest[k], self._is_new = message, True
-        if any(each is None or each.header.stamp != stamp for each in self._latest):
+        self._latest[k], self._looks = message, 0
+        if any(each is not message and (each is None or each.header.stamp != stamp) for each in self._latest):
             return
-        stamp_ns = stamp.sec * NS + stamp.nanosec
-        if round(round(stamp_ns * self._rate / NS) * NS / self._rate) != stamp_ns:
+        stamp_ns, (period, parts) = stamp.sec * NS + stamp.nanosec, self._period
+        if nearest_whole(nearest_whole(stamp_ns * parts, period) * period, parts) != stamp_ns:
             return
         if stamp_ns != self._answered:
             self._message, self._answered = self._compute(*self._latest), stamp_ns
@@ -50,7 +54,7 @@ class Controller:
         self._publisher.publish(self._message)
 
     def _look(self):
-        if not self._is_new and self._said != self._answered:
+        self._looks += 1
+        if self._looks * LOOK > QUIET and self._said != self._answered:  # the first look may follow a state at once
             self._said, last = self._answered, self._answered / NS
             self._node.get_logger().warning(f"no state of the simulation for {QUIET:g} s, answered last: {last:.9f} s")
-        self._is_new = False

@@ -49,11 +49,11 @@ def modes_of(model, work):
     of others, else 0; direction of slip; stop in contact (-1 lower, 1 upper); coordinate; effort at rest.
     """
     table, modes = model.switches, work.modes
-    signs = table["sign"][:, None]
-    own = modes[:, [SLIP, SIDE, COORDINATE, EFFORT]] * signs
-    own[:, 3] *= modes[:, RESTS]
-    at_rest = work.held[table["freedom"]] + 2.0 * modes[:, RESTS]
-    return np.hstack([at_rest[:, None], own])
+    found, rests = np.empty((len(modes), 5)), modes[:, RESTS]
+    found[:, 0] = work.held[table["freedom"]] + 2.0 * rests
+    np.multiply(modes[:, [SLIP, SIDE, COORDINATE, EFFORT]], table["sign"][:, None], out=found[:, 1:])
+    found[:, 4] *= rests
+    return found
 
 
 @kernel

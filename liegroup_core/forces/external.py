@@ -53,19 +53,15 @@ def set_wrench(external, body, wrench, axes):
     if not any(wrench):
         wrench = (0.0,) * len(wrench)  # no negative zeros: equal totals have equal bits
     if axes == "body":
+        com = tuple(external[body, 12:15].tolist())
+        if any(com):  # otherwise the numbers stay bit-identical
+            wrench = (*sub3(wrench[:3], cross3(com, tuple(wrench[3:]))), *wrench[3:])
         external[body, :6] = wrench
-        if external[body, 12:15].any():  # otherwise the numbers stay bit-identical
-            external[body, :3] -= _moment(external[body, 12:15], external[body, 3:6])
         return
     first = 6 if axes == "world" else 16
     external[body, first : first + len(wrench)] = wrench
     turning = external[body, 16:PULL].any()
     external[body, 15] = 2.0 if turning else float(external[body, 6:12].any())
-
-
-def _moment(point, force):
-    """Cross product of arrays (3,), much faster than np.cross."""
-    return cross3(tuple(point.tolist()), tuple(force.tolist()))
 
 
 def acts(external):
@@ -78,6 +74,11 @@ def power(external, pose, twist):
     wrench = np.zeros_like(twist)
     set_external_wrenches(external, pose, twist, wrench)
     return float(np.vdot(wrench, twist))
+
+
+def _moment(point, force):
+    """Cross product of arrays (3,), much faster than np.cross."""
+    return cross3(tuple(point.tolist()), tuple(force.tolist()))
 
 
 @kernel

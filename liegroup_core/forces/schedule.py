@@ -19,7 +19,7 @@ do not see or clear them, and they act from the end of a step on, before the nex
 """
 
 import bisect
-from functools import reduce
+from functools import partial, reduce
 from operator import add, attrgetter
 from typing import NamedTuple
 
@@ -52,8 +52,8 @@ class ScheduledCommand(NamedTuple):
 
     @property
     def changes(self):
-        """{(number, axes)} of the totals on which it acts."""
-        return {(number, axes) for axes, number, _ in self.parts}
+        """[(number, axes)] of the totals on which it acts."""
+        return [(number, axes) for axes, number, _ in self.parts]
 
     @property
     def of_scene(self):
@@ -97,8 +97,7 @@ class Schedule:
         self.waiting = self._scene[passed:]  # [ScheduledCommand] in the order of their starts
         found = {entry.key: entry for entry in self._scene[:passed]}
         self._acting = {key: entry for key, entry in found.items() if entry.end > instant}
-        for changed in {changed for entry in self._acting.values() for changed in entry.changes}:
-            self._add_up(*changed)
+        self._add_up({changed for entry in self._acting.values() for changed in entry.changes})
         self._arrived, self._known, self.reached = 0, None, instant
 
     def held(self):
@@ -115,12 +114,17 @@ class Schedule:
 
     def __len__(self):
         """Number of commands that act or start later, without those of the scene."""
-        return sum(not entry.of_scene for entry in (*self.waiting, *self._acting.values()))
+        return sum([entry.number >= 0 for entry in (*self.waiting, *self._acting.values())])
 
     @property
     def acting(self):
         """[ScheduledCommand] that act, in an order that does not depend on that of their arrival; not of the scene."""
         return [entry for _, entry in sorted(self._acting.items()) if not entry.of_scene]
+
+    def ends_of(self, kinds):
+        """Ends in ns, as they were given, of the commands of some kinds that act; not of the scene."""
+        entries = self._acting.values()
+        return {entry.command.end_ns for entry in entries if entry.number >= 0 and entry.command.kind in kinds}
 
     @property
     def later(self):
@@ -148,8 +152,12 @@ class Schedule:
         if command.kind == MOTION:
             self._discard(key, start)
         entry = ScheduledCommand(start, end, self._arrived, key, parts, command)
-        bisect.insort(self.waiting, entry, key=_by_start)
-        self._known = None
+        if self.waiting and start < self.waiting[-1].start:
+            bisect.insort(self.waiting, entry, key=_by_start)
+        else:
+            self.waiting.append(entry)
+        if self._known:
+            self._known = min(start, self._known[0]), self._known[1]
 
     def _discard(self, key, start):
         """Discard what waits with a key and starts at an Instant or later."""
@@ -161,8 +169,7 @@ class Schedule:
         if command.kind == MOTION:
             self._discard(key, BEFORE)
         self._acting[key] = entry = ScheduledCommand(BEFORE, end, self._arrived, key, parts, command)
-        for changed in entry.changes:
-            self._add_up(*changed)
+        self._add_up(entry.changes)
         self._known = None
 
     def motion_at(self, drive, instant):
@@ -204,13 +211,17 @@ class Schedule:
         return (self._known or self._next_times())[1]
 
     def _next_times(self):
-        acting = self._acting.values()
-        ends = [BEFORE if entry.ends_at_once else entry.end for entry in acting]
-        later = next((entry.start for entry in self.waiting if entry.of_scene), AFTER)
-        self._known = (
-            min([*ends, *(entry.start for entry in self.waiting[:1])], default=AFTER),
-            min([later, *(entry.end for entry in acting if entry.of_scene)]),
-        )
+        first = self.waiting[0].start if self.waiting else AFTER
+        of_scene = next((entry.start for entry in self.waiting if entry.of_scene), AFTER)
+        for entry in self._acting.values():
+            end = entry.end
+            if end < first:
+                first = end
+            if entry.number < 0 and end < of_scene:
+                of_scene = end
+            if entry.ends_at_once:
+                first = BEFORE
+        self._known = first, of_scene
         return self._known
 
     def update(self, instant):
@@ -222,30 +233,31 @@ class Schedule:
         started = bisect.bisect_right(self.waiting, instant, key=_start)
         for entry in self.waiting[:started]:
             before = self._acting.get(entry.key)
-            touched |= entry.changes | (before.changes if before else set())
+            touched.update(entry.changes, before.changes if before else ())
             self._acting[entry.key] = entry
         del self.waiting[:started]
         for key, entry in list(self._acting.items()):
             if entry.end <= instant or entry.ends_at_once:
-                touched |= entry.changes
+                touched.update(entry.changes)
                 del self._acting[key]
-        return [changed for changed in sorted(touched) if self._add_up(*changed)]
+        return self._add_up(touched)
 
-    def _add_up(self, number, axes):
-        """Set a total; returns whether it has changed."""
+    def _add_up(self, touched):
+        """Set totals [(number, axes)]; returns those that have changed, in order."""
+        parts = {each: [] for each in sorted(touched)}
         # Sorted by key, so that the sum of the same wrenches is always bit-identical.
-        parts = [
-            values
-            for _, entry in sorted(self._acting.items())
-            for kind, where, values in entry.parts
-            if (where, kind) == (number, axes)
-        ]
-        # For six numbers, plain Python is several times faster than NumPy.
-        total = [reduce(add, column) for column in zip(*parts)] or self._idle[axes][number].tolist()
-        if total == self.total[axes][number].tolist():
-            return False
-        self.total[axes][number] = total
-        return True
+        for _, entry in sorted(self._acting.items()):
+            for axes, number, values in entry.parts:
+                if (number, axes) in parts:
+                    parts[number, axes].append(values)
+        changed = []
+        for (number, axes), rows in parts.items():
+            # For six numbers, plain Python is several times faster than NumPy.
+            total = list(reduce(partial(map, add), rows)) if rows else self._idle[axes][number].tolist()
+            if total != self.total[axes][number].tolist():
+                self.total[axes][number] = total
+                changed.append((number, axes))
+        return changed
 
     def next_after(self, instant):
         """Instant up to which totals stay as they are at an Instant, at least."""

@@ -30,8 +30,6 @@ class Sample:
 
     layout : Layout of its scene
     time, time_ns, steps : s, ns, and number of steps since the start or the last reset
-    pose  : (n, 12) per body R row by row, then r in m; body frame -> world
-    twist : (n, 6) per body omega rad/s, v m/s; body axes, v of the frame's origin
     errors : (n, 4) estimated errors, see `error`; None without an estimate
     bound : (m, rad) largest pose errors that an accuracy allows at this time; None with a method
     acting : Acting, at the end of the last step; by default that of the scene from this time on
@@ -52,13 +50,29 @@ class Sample:
         self._layout, self._near = layout, near
         self.time, self.time_ns, self.steps = time, time_ns, steps
         self._state = pose, twist
-        self.pose, self.twist = layout.offsets.to_bodies(pose, twist)
-        for array in (pose, twist, self.pose, self.twist):
+        for array in self._state:
             array.flags.writeable = False
 
     def __repr__(self) -> str:
         bodies = ", ".join(f"{name} at {at.round(6).tolist()} m" for name, at in list(self.positions.items())[:3])
         return f"Sample(t = {self.time:.9g} s, step {self.steps}: {bodies}{', ...' if len(self.pose) > 3 else ''})"
+
+    @cached_property
+    def _at_bodies(self):
+        found = self._layout.offsets.to_bodies(*self._state)
+        for array in found:
+            array.flags.writeable = False
+        return found
+
+    @property
+    def pose(self) -> NDArray[np.float64]:
+        """(n, 12) per body R row by row, then r in m; body frame -> world."""
+        return self._at_bodies[0]
+
+    @property
+    def twist(self) -> NDArray[np.float64]:
+        """(n, 6) per body omega rad/s, v m/s; body axes, v of the frame's origin."""
+        return self._at_bodies[1]
 
     @property
     def body_names(self) -> tuple[str, ...]:
@@ -372,6 +386,8 @@ class Sample:
     @cached_property
     def servo_efforts(self) -> dict[str, float]:
         """{joint: effort of its servo}, N m or N, within its limit."""
+        if not self._layout.servos:
+            return {}
         return {servo.joint: self.force_efforts[servo.name] for servo in kinds.servos(self.scene.forces)}
 
     @property

@@ -23,7 +23,7 @@ import struct
 import numpy as np
 
 _LITTLE_ENDIAN = b"\x00\x01\x00\x00"
-_BYTE_ORDER = {b"\x00\x00": ">", b"\x00\x01": "<"}
+BYTE_ORDER = {b"\x00\x00": ">", b"\x00\x01": "<"}
 _STAMP = struct.Struct("<iI").pack
 _SIX, _SEVEN = struct.Struct("<6d").pack, struct.Struct("<7d").pack
 _STAMP_BYTES = slice(4, 12)
@@ -44,7 +44,7 @@ class Fields:
 
     def __init__(self, name, payload):
         self._name, self._payload, self._at = name, payload, len(_LITTLE_ENDIAN)
-        self._order = _BYTE_ORDER.get(payload[:2])
+        self._order = BYTE_ORDER.get(payload[:2])
         if self._order is None:
             raise MessageError(f"{name}: a message is not plain CDR")
 
@@ -114,7 +114,7 @@ class _StampedCodec:
     @classmethod
     def decode_one(cls, payload):
         """(stamp in ns, frame id, values) of one message. Raises MessageError."""
-        order = _BYTE_ORDER.get(payload[:2])
+        order = BYTE_ORDER.get(payload[:2])
         if order is None:
             raise MessageError(f"{cls.TYPE}: a message is not plain CDR: it starts with 0x{payload[:2].hex()}")
         try:
@@ -220,7 +220,7 @@ def decode_rows(codec, rows):
     first. Raises MessageError
     """
     _, frame_id, first = codec.decode_one(rows[0].tobytes())
-    order = _BYTE_ORDER[rows[0, :2].tobytes()]
+    order = BYTE_ORDER[rows[0, :2].tobytes()]
     at = rows.shape[1] - 8 * codec.COUNT  # in messages of ROS the values come last
     heads = np.delete(rows[:, :at], _STAMP_BYTES, axis=1)
     values = np.ascontiguousarray(rows[:, at:]).view(f"{order}f8").astype(float)

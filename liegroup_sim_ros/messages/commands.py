@@ -2,11 +2,12 @@
 """Commands for joints: decoding of the messages, encoding of the values that act."""
 
 import math
+import struct
 from typing import NamedTuple
 
 from . import matrices
 from .cdr import Template, stamp
-from .codecs import Fields, MessageError
+from .codecs import BYTE_ORDER, Fields, MessageError
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
@@ -41,20 +42,43 @@ class JointStateDecoder:
     def __init__(self, most=100_000):
         self._most = most
         self._known = b"", (), 0  # bytes of frame id and names, the names, where the values begin
+        # Of the last message, for the next one of the same size: function that unpacks all numbers, and their counts.
+        self._unpack, self._counts, self._size = None, (), 0
 
     def decode(self, payload):
         """JointValues of one payload. Raises MessageError; does not compare the lengths of the fields."""
+        known, names, end = self._known
+        is_known = end and payload[:2] + payload[_STAMP_END:end] == known
+        if is_known and len(payload) == self._size:
+            numbers = self._unpack(payload)
+            a, b, c = self._counts
+            if (numbers[2], numbers[3 + a], numbers[4 + a + b]) == self._counts:
+                values = numbers[3 : 3 + a], numbers[4 + a : 4 + a + b], numbers[5 + a + b :]
+                return JointValues(numbers[0] * 1_000_000_000 + numbers[1], names, *values)
         fields = Fields(JOINT_STATE, payload)
         stamp_ns = fields.stamp_ns()
-        known, names, end = self._known
-        if end and payload[:2] + payload[_STAMP_END:end] == known:
+        if is_known:
             fields.skip_to(end)
         else:
             fields.text()
             names = tuple(fields.text() for _ in range(fields.count(self._most, "names")))
             self._known = payload[:2] + payload[_STAMP_END : fields.at], names, fields.at
         values = [fields.numbers("d", fields.count(self._most, "numbers")) for _ in range(3)]
+        self._counts, self._size = tuple(map(len, values)), len(payload)
+        self._unpack = _unpacker(BYTE_ORDER[payload[:2]], self._known[2], self._counts)
         return JointValues(stamp_ns, names, *values)
+
+
+def _unpacker(order, at, counts):
+    """Function that unpacks stamp, then count and numbers of each field, of a JointState; at : of the first."""
+    form = f"{order}4xiI{at - _STAMP_END}x"
+    for count in counts:
+        gap = -at % 4
+        form, at = f"{form}{gap}xI", at + gap + 4
+        if count:
+            gap = (4 - at) % 8  # counts from the end of the encapsulation
+            form, at = f"{form}{gap}x{count}d", at + gap + 8 * count
+    return struct.Struct(form).unpack_from
 
 
 class Point(NamedTuple):

@@ -7,6 +7,7 @@ takes their poses from /tf.
 """
 
 import re
+import struct
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
@@ -16,7 +17,7 @@ from liegroup_core.robots.description import Visual, rpy_of_rotation
 from liegroup_core.robots.resources import find_resource
 from liegroup_core.robots.xml import read_xml
 
-from .cdr import Template
+from .cdr import ENCAPSULATION
 from .links import link_of_body, links_and_joints
 from .markers import CUBE, CYLINDER, SPHERE, in_primitives, solid
 
@@ -59,9 +60,8 @@ def unheld_links(scene):
 
 def encoded(text):
     """Serialized std_msgs/String."""
-    template = Template()
-    template.string(text)
-    return template.pack()
+    characters = text.encode() + b"\0"
+    return ENCAPSULATION + struct.pack("<I", len(characters)) + characters
 
 
 def _with_addresses(text, file):

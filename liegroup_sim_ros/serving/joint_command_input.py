@@ -21,6 +21,7 @@ from .joint_input import OF_JOINTS, JointInput
 
 OLDEST = 1.0  # s; largest age of the stamp of a command without a duration
 SOURCE = "joint_commands"
+_is_exceeded = LARGEST_NUMBER.__lt__
 INTERFACES = ("position", "velocity", "effort")  # in the order of a JointState
 REASONS = (
     *OF_JOINTS,
@@ -98,17 +99,19 @@ class JointCommandInput(JointInput):
                         f"{counted(len(names), 'name')}; give one per name (NaN: no command), or none"
                     ),
                 )
-            for name, value in zip(names, values):
-                if abs(value) > LARGEST_NUMBER:
-                    self.refuse("not_finite", lambda: f"{kind} of {name} is infinite or too large")
-        position, velocity, effort = (values or (math.nan,) * len(names) for values in fields)
-        wanted = [
-            (name, *target) for name, *target in zip(names, position, velocity) if not all(map(math.isnan, target))
-        ]
-        self._check_servos(wanted, jumps)
-        for name, value in zip(names, effort):
-            if not math.isnan(value):
-                self._check_effort(name, value)
+            if any(map(_is_exceeded, map(abs, values))):
+                name = next(name for name, value in zip(names, values) if abs(value) > LARGEST_NUMBER)
+                self.refuse("not_finite", lambda: f"{kind} of {name} is infinite or too large")
+        position, velocity, effort = fields
+        wanted = []
+        if position or velocity:
+            none = (math.nan,) * len(names)
+            targets = zip(names, position or none, velocity or none)
+            wanted = [(name, *target) for name, *target in targets if not all(map(math.isnan, target))]
+            self._check_servos(wanted, jumps)
+        efforts = [(self.joints[name], value) for name, value in zip(names, effort) if not math.isnan(value)]
+        for joint, value in efforts:
+            self.refuse_beyond_limits(self.limits[joint].check_effort, value)
         target = ", ".join(names)
         age = OLDEST if lasting is None else lasting
         if stamp_ns and stamp_ns < now_ns - round(age * 1e9):
@@ -123,26 +126,19 @@ class JointCommandInput(JointInput):
         self.refuse_far_stamp(stamp_ns, now_ns, f"{target:.{LONGEST_NAME}}")
         self.refuse_too_many(held, f"{target:.{LONGEST_NAME}}")
         start_ns = stamp_ns if stamp_ns > now_ns else None
-        found = [
-            Command(EFFORT, self.joints[name], (value,), start_ns, None, source)
-            for name, value in zip(names, effort)
-            if not math.isnan(value)
-        ] + [self._target(name, position, _or_zero(velocity), start_ns) for name, position, velocity in wanted]
+        targets = [self._target(name, position, _or_zero(velocity), start_ns) for name, position, velocity in wanted]
         if self._present is not None:
-            for command in found:
+            for command in targets:
                 self.refuse_beyond_limits(self._present.check, command)
         self.accepted += 1
         self._checked = names
-        return found
+        return [Command(EFFORT, joint, (value,), start_ns, None, source) for joint, value in efforts] + targets
 
     def _target(self, name, position, velocity, start_ns):
         joint = self.joints[name]
         if name in self.driven:
             return Command(MOVE, joint, (position, velocity, self._seconds), start_ns)
         return Command(TARGET, joint, (_or_zero(position), velocity), start_ns)
-
-    def _check_effort(self, name, effort):
-        self.refuse_beyond_limits(self.limits[self.joints[name]].check_effort, effort)
 
     def _check_servos(self, wanted, jumps):
         for name, position, velocity in wanted:

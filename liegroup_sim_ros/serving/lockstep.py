@@ -20,7 +20,8 @@ from .rates import following, is_multiple
 
 REASONS = ("late", "early", "repeated", "damaged")
 # s of wall time: a longer wait is logged; between two looks for new listeners, which need the state once more; how
-# long after a new one it is repeated, because the two sides of DDS discover each other up to 2.5 s apart.
+# long after a new one it is repeated, because the two sides of DDS discover each other up to 2.5 s apart. On a loaded
+# machine that takes longer, so the state is also repeated each time that DISCOVERY has passed.
 LONG, LOOK, DISCOVERY = 0.5, 0.1, 3.0
 
 
@@ -165,7 +166,7 @@ class Lockstep(CountedInput):
 
     def forget_wait(self):
         """Begin the wait again: the limit, and what was logged of it."""
-        self._waited, self._said = 0.0, False
+        self._waited, self._said, self._repeats = 0.0, False, 0
 
     def wait(self, sleep, longest, listeners):
         """Wait for the missing answers, at most `longest` s and not for long.
@@ -193,7 +194,8 @@ class Lockstep(CountedInput):
         before, self._listeners = self._listeners, listeners()
         if self._listeners != before:
             self._changed = now
-        return text, False, "state" if now - self._changed < DISCOVERY else "clock"
+        before, self._repeats = self._repeats, int(waited / DISCOVERY)
+        return text, False, "state" if now - self._changed < DISCOVERY or self._repeats > before else "clock"
 
     def _text(self, missing):
         stamp_ns = max(mine.asked.stamp_ns for mine in map(self._topics.get, missing) if mine and mine.asked)

@@ -90,6 +90,20 @@ class Stream:
         """End the topic."""
 
 
+class _InOrder:
+    """Recorder whose messages wait while `waiting` is a list."""
+
+    def __init__(self, recorder):
+        self._recorder, self.waiting = recorder, None
+        self.add_channel = recorder.add_channel
+
+    def write(self, *message):
+        if self.waiting is None:
+            self._recorder.write(*message)
+        else:
+            self.waiting.append(message)
+
+
 class Streams:
     """Topics of a recording; a node's subclass publishes them, too.
 
@@ -243,6 +257,26 @@ class Outputs:
         """Rate of ~/state in Hz, 0: none."""
         return self._values.rates["state_rate"]
 
+    def hold(self):
+        """Let the messages that are sent from now on wait for their place in the recording."""
+        self._had_sample, self.has_sample = self.has_sample, False
+        if self._recorder is not None:
+            self._recorder.waiting = []
+
+    def release(self):
+        """End `hold`; returns the function that records what waits."""
+        recorder, has_sample = self._recorder, self.has_sample
+        self.has_sample, waiting = self._had_sample, []
+        if recorder is not None:
+            waiting, recorder.waiting = recorder.waiting, None
+
+        def record():
+            self.has_sample |= has_sample
+            for message in waiting:
+                recorder.write(*message)
+
+        return record
+
     def at_step(self, stamp_ns):
         """Call the functions for a step."""
         for call in self.at_steps:
@@ -319,9 +353,9 @@ class Outputs:
 
     def record_to(self, recorder):
         """Record all topics from now on."""
-        self._recorder = recorder
+        self._recorder = _InOrder(recorder)
         for stream in self._streams:
-            stream.record_to(recorder)
+            stream.record_to(self._recorder)
 
     def close(self, stamp_ns=None):
         """Destroy all publishers; with the last stamp, delete the markers in viewers first."""

@@ -30,6 +30,7 @@ from .lockstep import LOOK, Lockstep
 from .rates import Output, Rates
 from .real_time import RealTime
 from .simulation_commands import COMMANDS, CommandError, SimulationCommands
+from .wake import Wake
 
 log = logging.getLogger("liegroup_core")
 
@@ -43,7 +44,8 @@ class SimulationServer(SimulationCommands, threading.Thread):
 
     simulation : liegroup_core.Simulation; only this thread uses it from `start` to its end
     output     : Outputs, or an object with the attributes timed, state_rate, targets, motions, impulses and
-                 the methods at_step, state, inputs, all_inputs, servo_targets, prescribed, event, diagnostics;
+                 the methods hold, release, at_step, state, inputs, all_inputs, servo_targets, prescribed, event and
+                 diagnostics;
                  joint_modes if joints have stops or friction; impact if impulses is not empty; listeners,
                  publish_clock and publish_again with a lockstep
     factor     : real-time factor, 0: as fast as possible
@@ -76,7 +78,7 @@ class SimulationServer(SimulationCommands, threading.Thread):
         super().__init__(name="simulation", daemon=True)
         self._simulation = simulation
         self._output = output
-        self._wake = threading.Event()
+        self._wake = Wake()
         self._lock = threading.Lock()
         self._commands = []  # (Future, bound method, arguments)
         self._inbox = Inbox(simulation, follow_period, motion_time, self._wake.set)
@@ -330,12 +332,12 @@ class SimulationServer(SimulationCommands, threading.Thread):
         for give in self.lockstep.take():
             give()
         self._inbox.deliver(self._base_ns, instant.time)
-        if changes := self._send_commands():
-            self._send_changes(self.stamp_ns, changes)
         sample = None
         try:
             simulation.reach(instant, lambda: self._stopping or enough())
             if simulation.now < instant:
+                for send in self._causes():
+                    send()
                 return not self._stopping
             if instant.offset and (self._watching or self._rates.need_state(tick - self._base_ns)):
                 sample = simulation.sample()
@@ -362,31 +364,22 @@ class SimulationServer(SimulationCommands, threading.Thread):
 
         sample : of this stamp, within the present step; None: the stamp is that of the step
         """
-        due = [
-            (round(time_ns), partial(self._send_changes, self._base_ns + round(time_ns), list(changes)))
-            for time_ns, changes in groupby(self._send_commands(), _start_ns)
-        ]
-        if self._reports is not None:
-            due += [(r.time_ns, partial(self._send_report, r)) for r in self._reports.drain()]
-            if self._output.impulses:
-                due += [
-                    (i.time_ns, partial(self._output.impact, self._base_ns + i.time_ns, i.array))
-                    for i in self._simulation.drain_impacts()
-                ]
-            due.sort(key=itemgetter(0))
-        for _, send in due:
-            send()
-        if self._simulation.steps != self._step_seen:
-            self._step_seen = self._simulation.steps
-            self._output.at_step(self._stamp(self._step_seen))
-        self.stamp_ns = stamp_ns
-        self._tell_of_the_error()
+        causes, self.stamp_ns = self._causes(), stamp_ns
+        self._output.hold()  # a controller in lockstep computes while the rest is sent and recorded
         for output in self._rates.due(stamp_ns - self._base_ns, stamp_ns, everything):
             if output.of_state:
                 sample = sample or self._simulation.sample()
                 if output.answers:
                     self._unseen = None
             output.send(stamp_ns, sample)
+        record = self._output.release()
+        for send in causes:
+            send()
+        if self._simulation.steps != self._step_seen:
+            self._step_seen = self._simulation.steps
+            self._output.at_step(self._stamp(self._step_seen))
+        self._tell_of_the_error()
+        record()
         if self._watching:
             sample = sample or self._simulation.sample()
             self._keep_positions(sample)
@@ -430,15 +423,29 @@ class SimulationServer(SimulationCommands, threading.Thread):
     def _send_state(self, stamp_ns, sample):
         self._output.state(stamp_ns, self._figures(sample))
 
-    def _send_commands(self):
-        """Send the wrenches and efforts that were commanded since the last call; returns the other inputs."""
+    def _causes(self):
+        """Functions that send what was commanded and has happened since the last call, in order."""
         given = self._simulation.drain_applied()
         self._output.given(given)
-        commands = [command for command in given if command.kind not in (TARGET, MOTION)]
-        if commands:
-            self._output.inputs(self.stamp_ns, self._base_ns, commands, lambda: self._simulation.inputs.commands)
+        if given:
             self._reference_energy = None
-        return [command for command in given if command.kind in (TARGET, MOTION)]
+        commands = [command for command in given if command.kind not in (TARGET, MOTION)]
+        changes = groupby([command for command in given if command.kind in (TARGET, MOTION)], _start_ns)
+        due = [
+            (round(time_ns), partial(self._send_changes, self._base_ns + round(time_ns), list(entries)))
+            for time_ns, entries in changes
+        ]
+        if self._reports is not None:
+            due += [(r.time_ns, partial(self._send_report, r)) for r in self._reports.drain()]
+            if self._output.impulses:
+                due += [
+                    (i.time_ns, partial(self._output.impact, self._base_ns + i.time_ns, i.array))
+                    for i in self._simulation.drain_impacts()
+                ]
+            due.sort(key=itemgetter(0))
+        present = partial(getattr, self._simulation.inputs, "commands")
+        first = [partial(self._output.inputs, self.stamp_ns, self._base_ns, commands, present)] if commands else []
+        return [*first, *(send for _, send in due)]
 
     def _send_changes(self, stamp_ns, changes):
         """Send the targets of servos and the motions that act from a stamp on."""

@@ -60,11 +60,11 @@ def _free_domain():
 
 
 DOMAIN, _LOCK = _free_domain()
-# No shared memory: a process that is killed leaves it locked, and others wait for it without end.
+# No shared memory, which LOCALHOST always has: a process that is killed may leave it locked, and others wait for it.
 DDS = {
     "ROS_DOMAIN_ID": str(DOMAIN),
-    "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-    "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
+    "ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT",
+    "FASTRTPS_DEFAULT_PROFILES_FILE": str(Path(__file__).with_name("loopback.xml")),
 }
 ENVIRONMENT = {
     **os.environ,

@@ -5,6 +5,7 @@ ROS leaves the alignment gap between frame id and numbers as it was in memory; o
 that equal messages are equal bytes. The gap alone is left out of the comparison.
 """
 
+import json
 import struct
 
 import numpy as np
@@ -15,8 +16,10 @@ from hypothesis import strategies as st
 from rclpy.serialization import serialize_message
 from rosbags.typesys import Stores, get_typestore
 from rosgraph_msgs.msg import Clock
+from std_msgs.msg import String
 
-from liegroup_sim_ros.messages import schemas
+from liegroup_core.forces.commands import Command
+from liegroup_sim_ros.messages import inputs, schemas
 from liegroup_sim_ros.messages.codecs import (
     ClockCodec,
     MessageError,
@@ -205,3 +208,25 @@ def test_a_missing_message_type_is_refused_in_one_line(msg_type):
     with pytest.raises(schemas.SchemaError, match="is not installed") as caught:
         schemas.definition(msg_type)
     assert "\n" not in str(caught.value)
+
+
+NAMES = st.one_of(FRAMES, st.just('"values":[]'))
+TIMES = st.one_of(st.none(), st.integers(0, 10**18), st.floats(0.0, 1e18))
+COMMANDS = st.builds(
+    Command,
+    st.sampled_from(["wrench", "effort", "pull"]),
+    NAMES,
+    st.lists(st.floats(allow_nan=False, allow_infinity=False), max_size=9).map(tuple),
+    TIMES,
+    TIMES,
+    NAMES,
+    st.sampled_from(["body", "world"]),
+    st.one_of(st.none(), st.tuples(*[st.floats(-1.0, 1.0)] * 3)),
+)
+
+
+@given(st.lists(COMMANDS, max_size=3), st.booleans())
+def test_inputs_are_the_json_of_their_commands(commands, everything):
+    entries = {"base_ns": 5, "all": everything, "commands": [command.as_json() for command in commands]}
+    text = json.dumps(entries, separators=(",", ":"))
+    assert inputs.encode(5, commands, everything) == serialize_message(String(data=text))
