@@ -52,6 +52,7 @@ from .law import Law, LawInput, LawOutput, LawState
 MOST_POINTS = 64  # of a hull
 STANDING = 1e-9  # a cylinder that leans less stands: its four points of a rim do not turn to the lowest one
 ROUND = ("sphere", "capsule")
+WORK = "work"  # state of the law of a contact: what it did on the bodies, J. Its scale is that of `load` along 1 m
 
 
 def _points(value):
@@ -205,8 +206,8 @@ class Contact(Force):
     @cached_property
     def as_law(self):
         """Law with its formulas, once it is complete."""
-        found = _Formulas(self.name, self.numbers)
-        shapes, _, _ = self._given
+        shapes, load, _ = self._given
+        found = _Formulas(self.name, self.numbers, load)
         if self.other is not None:
             return _touch_each_other(found, (self.body, self.other), shapes).law
         normal = np.array(self.plane.normal) / math.hypot(*self.plane.normal)
@@ -300,24 +301,28 @@ def _clip(value, low, high):
     return f"clip({value}, {low!r}, {high!r})"
 
 
+def _state(rate, scale=1.0):
+    return LawState.model_construct(rate=str(rate), update=None, start=0.0, scale=scale)
+
+
 class _Formulas:
     """Formulas of the law of a contact."""
 
-    def __init__(self, name, numbers):
-        self._name, self._numbers = name, numbers
+    def __init__(self, name, numbers, load):
+        self._name, self._numbers, self._load = name, numbers, load
         self._inputs, self._signals, self._states, self._outputs = {}, {}, {}, []
-        self._normals, self._depths = [], []
+        self._normals, self._depths, self._powers = [], [], []
 
     @property
     def law(self):
-        """The Law. What others can read: the sum of the normal forces in N, and the largest depth in m."""
+        """The Law. What others can read: the sum of normal forces in N, the largest depth in m, the work in J."""
         deepest = self._depths[0] if len(self._depths) == 1 else f"max({', '.join(self._depths)})"
         shown = {"normal_force": _plus(*self._normals), "depth": deepest}
         return Law.model_construct(
             name=self._name,
             inputs={name: LawInput(quantity=quantity, point=point) for (quantity, point), name in self._inputs.items()},
             parameters=self._numbers,
-            states=self._states,
+            states=self._states | {WORK: _state(_plus(*self._powers), self._load or 1.0)},
             signals=self._signals | shown,
             outputs=tuple(self._outputs),
         )
@@ -358,6 +363,7 @@ class _Formulas:
         force = self.let(f"stiffness*{depth}*(1 - damping*{leaving}) if {pushes} else 0")
         self._normals.append(force)
         normal, tangents = axes
+        self._powers.append(_times(force, leaving))
         if "friction" not in self._numbers:
             return _scaled(force, normal)
         slips = [self.let(each) for each in slips]
@@ -370,10 +376,10 @@ class _Formulas:
         yields = self.let(f"max(2*{_dot(bent, bent)} - 1, 0)*max({_dot(bent, slips)}, 0)")
         rates = [self.let(f"({speed} - {each}*{yields})/slip") for speed, each in zip(slips, bent)]
         for name, rate in zip(bristle, rates):
-            text = f"{rate} if {pushes} else 0"
-            self._states[name] = LawState.model_construct(rate=text, update=None, start=0.0, scale=1.0)
+            self._states[name] = _state(f"{rate} if {pushes} else 0")
         bent = [self.let(f"{each} + settles*{rate}") for each, rate in zip(bent, rates)]
         drag = self.let(f"-friction*{force}/sqrt(max({_dot(bent, bent)}, 1))")
+        self._powers.append(_times(drag, _dot(bent, slips)))
         across = bent if tangents is None else _sum(*(_scaled(b, axis) for b, axis in zip(bent, tangents)))
         return _sum(_scaled(force, normal), _scaled(drag, across))
 

@@ -29,7 +29,7 @@ def _along(model, angle, pose, twist, energy_out, parts_out, residual_out, angle
 
 @SameTypes
 @kernel
-def _powers(forces, angle, targets, registers, times, pose, twist, out):
+def _powers(forces, angle, targets, registers, times, pose, twist, known, out):
     for k in range(len(pose)):
         registers[0, 0] = times[k]
         first = angle.shape[1] - len(forces.laws.states)
@@ -38,6 +38,8 @@ def _powers(forces, angle, targets, registers, times, pose, twist, out):
         law.measure(forces.laws, angle[k], pose[k], twist[k], registers)
         found = kinds.powers(forces, angle[k], targets, registers, pose[k], twist[k])
         out[k, 0], out[k, 1], out[k, 2], out[k, 3], out[k, 4] = found
+        for s in range(len(known)):
+            out[k, 4] -= registers[forces.laws.states[known[s], 1], 0]
 
 
 @SameTypes
@@ -75,16 +77,17 @@ def rows(pose, twist):
     return out
 
 
-def powers(layout, angles, targets, times, pose, twist):
+def powers(layout, angles, targets, times, pose, twist, known=()):
     """(k, p) W of the non-conservative forces of a layout by kinds.POWERS, in k states with the same inputs.
 
+    known : numbers of the states of laws that are the work of some: these have no part in it
     angles (k, t) rad; targets as for kinds.powers; times (k,) s; pose (k, n, 12), twist (k, n, 6) of the frames at the
     centres of mass
     """
     out = np.zeros((len(pose), len(kinds.POWERS)))
     forces = layout.model.forces
     given = [np.array(part, order="C") for part in (angles, targets, forces.laws.registers, times, pose, twist)]
-    _powers(forces, *given, out)
+    _powers(forces, *given, np.array(known, dtype=np.int64), out)
     return out
 
 

@@ -29,7 +29,7 @@ def build_system(scene, pose, angles=None):
     Raises SimulationError for a joint or force without equations here.
     """
     index = {body.name: i for i, body in enumerate(scene.bodies)} | {"world": len(scene.bodies)}
-    supported = {*JOINTS, "spring_damper", *TURNING, *SLIDING, "drag", "applied_wrench", "law"}
+    supported = {*JOINTS, "spring_damper", *TURNING, *SLIDING, "drag", "applied_wrench", "law", "contact"}
     for entry in (*scene.joints, *scene.forces):
         if entry.type not in supported:
             raise SimulationError(f"the reference integration does not support {entry.type} ({entry.name})")

@@ -3,17 +3,18 @@
 
     kinetic + potential energy + energy of springs - (work of forces and joints + energy of impacts) = constant
 
-The energies are those of the recorded states, the energies of impacts are recorded. Work is the integral of the
-powers at the samples, by quintic splines between the times at which an input or a mode of a joint changes, or what a
-sampled law holds, unless that changes more often than there are samples. The error of this quadrature is estimated by
-its difference from that with every second sample, summed over the times between samples. The remainder contains both
-errors, that of the motion and that of the quadrature.
+The energies are those of the recorded states, the energies of impacts and works of contacts are recorded. Other work is
+the integral of the powers at the samples, by quintic splines between the times at which an input or a mode of a joint
+changes, or what a sampled law holds, unless that changes more often than there are samples. The error of this
+quadrature is estimated by its difference from that with every second sample, summed over the times between samples. The
+remainder contains both errors, that of the motion and that of the quadrature.
 """
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from liegroup_core.forces import kinds
+from liegroup_core.forces.contact import WORK
 from liegroup_core.forces.external import acts, power
 from liegroup_core.forces.instants import StepGrid
 from liegroup_core.forces.sampled import Sampling
@@ -23,6 +24,7 @@ from liegroup_sim_ros.messages.joint_modes import ENERGY
 from .acting import ActingInputs
 
 WORKS = (*kinds.POWERS, "wrenches", "driven joints", "stops and friction", "impacts")
+LAWS = kinds.POWERS.index("laws")
 WRENCHES, DRIVES, IMPACTS = len(kinds.POWERS), len(kinds.POWERS) + 1, len(WORKS) - 1
 MOST_POINTS = 2000  # of a curve
 DEGREE = 5
@@ -37,6 +39,9 @@ class Balance:
         self._acting, self._grid = ActingInputs(layout, self._step), StepGrid(self._step)
         forces, self._sampling = layout.model.forces, Sampling(layout, self._grid)
         self._held = slice(len(forces.counted), len(forces.counted) + len(forces.laws.held))
+        names = [f"{force.name}.{WORK}" for force in layout.scene.forces if force.type == "contact"]
+        self._known = [layout.states.index(name) for name in names]
+        self._first_state = len(forces.counted) + len(forces.laws.held)
         self._has_forces = any(not force.is_conservative for force in layout.scene.forces)
         self._has_joints = bool(layout.motions or layout.switches)
         self._every = -(-expected // MOST_POINTS)
@@ -95,6 +100,9 @@ class Balance:
             out[first:end, :IMPACTS] = done[:IMPACTS] + work(times[first:end])
             done[:IMPACTS] += work(b)
             self._error += float(error.sum())
+        for s in self._known:
+            known = angles[:, self._first_state + s]
+            out[:, LAWS] += known - known[0]
         track = self._stretch.joint_modes
         if track is not None:
             total = np.concatenate([[0.0], np.cumsum(track.values[:, :, ENERGY].sum(axis=1))])
@@ -110,7 +118,7 @@ class Balance:
         layout, (acting, _, modes) = self._layout, self._acting.at(self._stretch, time)
         out = np.zeros((len(times), IMPACTS))
         if self._has_forces:
-            out[:, :WRENCHES] = powers(layout, angles, acting.targets, times, pose, twist)
+            out[:, :WRENCHES] = powers(layout, angles, acting.targets, times, pose, twist, self._known)
         if acts(acting.external):
             out[:, WRENCHES] = [power(acting.external, *state) for state in zip(pose, twist)]
         if self._has_joints:
