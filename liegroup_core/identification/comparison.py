@@ -32,6 +32,7 @@ LONGEST = 0.01  # s, first longest step; it is halved until the errors are a sma
 PART = 0.1  # of the noise: largest error of the integration
 MOST_HALVES = 8
 RANGE, LAGS = 1.0, 41  # s, delays up to this are tried first; their number
+APART = 2.0 * RANGE / (LAGS - 1)
 # s, and of a recording: delays up to these are tried at the same distance, then finer, if none before leaves noise.
 WIDEST, PART_OF_LOG, CANDIDATES, FINER = 30.0, 0.5, 10, 11
 NOISY = 4.0  # mean square that is nearly noise: a wrong model does not lead to a delay far away
@@ -112,7 +113,7 @@ class Comparison:
         """
         found, variances, k = {}, np.diag(self.solution.covariance), 0
         chi, log = max(1.0, self.reduced), self.fit.runs.log
-        border = reach(log) - RANGE / (LAGS - 1)
+        border = reach(log) - 0.5 * APART
         for each, delay, free in zip(log.measured, self.solution.point.delays, self.fit.free):
             is_known = abs(delay) <= border and chi <= NEAR
             deviation = 0.0 if not free else np.sqrt(variances[k] * chi) if is_known else np.inf
@@ -214,10 +215,10 @@ def _length(fit, point):
     """(Length in s of the longest segments in which the model is near, Unknowns of a few of them)."""
     spans, length, numbers = fit.runs.log.spans, _shortest(fit.runs.log), fit.runs.numbers
     most, best = max(last - first for first, last in spans) / FEW_SEGMENTS, None
-    # A few short segments show some numbers badly: these stay near to what they are, and delays there.
-    known = np.isfinite(fit.priors[:, 1:])
+    # A few short segments show some numbers and delays badly: these stay near to what they are.
+    known, late = np.isfinite(fit.priors[:, 1:]), np.column_stack([point.delays, np.full(len(fit.free), 0.5 * APART)])
     priors = np.where(known, fit.priors, np.column_stack([point.values, numbers.scales]))
-    few = Fit(fit.runs, list(fit.deviation), fit.free & False, fit.limits, priors, fit.workers)
+    few = Fit(fit.runs, list(fit.deviation), fit.free, fit.limits, priors, fit.workers, late)
     while best is None or 2.0 * best <= most:
         bounds = [
             (start, min(start + length, last + 1e-6))
@@ -407,9 +408,8 @@ def _rough_delays(fit, bounds, delays):
         most = reach(runs.log)
         found, lag = lowest(of, min(RANGE, most) * np.linspace(-1.0, 1.0, LAGS))[0]
         if found > NOISY and most > RANGE and (runs.log.inputs or runs.log.drives):
-            apart = 2.0 * RANGE / (LAGS - 1)
-            near = [lag for _, lag in lowest(of, np.arange(-most, most, apart))[:CANDIDATES]]
-            other, finer = lowest(of, np.add.outer(near, apart * np.linspace(-0.5, 0.5, FINER)).ravel())[0]
+            near = [lag for _, lag in lowest(of, np.arange(-most, most, APART))[:CANDIDATES]]
+            other, finer = lowest(of, np.add.outer(near, APART * np.linspace(-0.5, 0.5, FINER)).ravel())[0]
             found, lag = min((found, lag), (other, finer)) if other < NOISY else (found, lag)
         # Starts absorb a common delay where little acts: without a clear minimum stamps are right.
         clear = found < CLEARLY * cost(of, 0.0)

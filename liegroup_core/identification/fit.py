@@ -122,16 +122,20 @@ class Fit:
     free     : (t,) whether the delay of each Measured is unknown
     limits   : (q, 2) least and largest numbers of the scene
     priors   : (q, 2) expected values and their standard deviations, inf: none
+    late     : (t, 2) s, the same of delays; None: nothing is known
     workers  : threads; None: as many as cores
     """
 
-    def __init__(self, runs, deviation, free, limits=None, priors=None, workers=None):
+    def __init__(self, runs, deviation, free, limits=None, priors=None, workers=None, late=None):
         q = len(runs.numbers)
         self.runs, self.deviation, self.free = runs, deviation, np.asarray(free, dtype=bool)
         self.workers = workers or os.cpu_count() or 1
         self._team = ThreadPoolExecutor(self.workers) if self.workers > 1 else None
         self.limits = np.tile([-np.inf, np.inf], (q, 1)) if limits is None else np.asarray(limits, dtype=float)
         self.priors = np.tile([0.0, np.inf], (q, 1)) if priors is None else np.asarray(priors, dtype=float)
+        late = np.tile([0.0, np.inf], (len(self.free), 1)) if late is None else late
+        self._expected = np.vstack([late[self.free], self.priors])
+        self._sizes = np.concatenate([np.ones(self.free.sum()), runs.numbers.scales])
         self.apart = [Apart(outputs) for outputs in runs.machine(runs.numbers.values).outputs]
 
     @one_blas_thread()
@@ -267,8 +271,14 @@ class Fit:
         return float(rest @ rest) / max(len(rest), 1)
 
     def _prior(self, point):
-        """(q,) deviations of the numbers from their priors."""
-        return (self.priors[:, 0] - point.values) / self.priors[:, 1]
+        """(g,) deviations of free delays and numbers from their priors."""
+        present = np.concatenate([point.delays[self.free], point.values])
+        return (self._expected[:, 0] - present) / self._expected[:, 1]
+
+    @property
+    def known(self):
+        """(g, g) columns of the priors with free delays in s and numbers by their scales."""
+        return np.diag(self._sizes / self._expected[:, 1])
 
     def beside(self, outputs, other, residuals):
         """[(N_s + z,)] changes of weighted outputs and gaps between two runs; 0 where nothing was measured or ran."""
@@ -341,9 +351,7 @@ class Fit:
         step = np.zeros(g)
         if g:
             scales = self.runs.numbers.scales
-            prior = np.zeros((q, g))
-            prior[:, g - q :] = np.diag(scales / self.priors[:, 1])
-            J = np.vstack([chain.columns, prior, np.sqrt(damping) * np.diag(np.linalg.norm(chain.columns, axis=0))])
+            J = np.vstack([chain.columns, self.known, np.sqrt(damping) * np.diag(np.linalg.norm(chain.columns, axis=0))])
             r = np.concatenate([chain.left, self._prior(point), np.zeros(g)])
             low, high = np.full(g, -np.inf), np.full(g, np.inf)
             low[g - q :], high[g - q :] = ((limit - point.values) / scales for limit in self.limits.T)
@@ -362,7 +370,7 @@ class Fit:
         small = CLOSE * np.sqrt(chain.left @ chain.left / count)
         is_small = all(np.linalg.norm(part.own @ change) < small for part, change in zip(parts, changes))
         is_small = is_small and bool((np.abs(step) * np.linalg.norm(chain.columns, axis=0) < small).all())
-        at_end = self._prior(replace(point, values=point.values + step[g - q :] * self.runs.numbers.scales))
+        at_end = self._prior(point) - self.known @ step
         total = sum(map(_square, parts)) + float(np.sum(self._prior(point) ** 2))
         share = 1.0 - (expected + float(np.sum(at_end**2))) / total if total else 0.0
         return changes, step, share, is_small

@@ -75,8 +75,7 @@ def identify(scene, log, names, limits=None, priors=None, held_out=0.0, workers=
     comparison = judged(
         fit, near, fit.solution(solution.point, solution.outputs, fit.linear_of(solution), solution.slack)
     )
-    prior = np.hstack([np.zeros((q, d)), np.diag(numbers.scales / fit.priors[:, 1])])
-    columns = np.vstack([solution.chain.columns, prior])
+    columns = np.vstack([solution.chain.columns, fit.known])
     covariance = covariance_of(columns) * max(1.0, solution.reduced)
     if not comparison.is_white:
         finite = np.where(np.isfinite(covariance), covariance_of(columns), 0.0)
