@@ -202,13 +202,15 @@ def fitted(scene, log, names=(), workers=None, limits=None, priors=None, held_ou
     """
     fit, point = begin(scene, log, names, workers, limits, priors)
     length, point = _length(fit, point)
+    bounds = _divided(log.usable.spans, length)
     while True:
-        bounds = _divided(log.usable.spans, length)
         kept = max(1, len(bounds) - round(held_out * len(bounds)))
         near = _refined(fit, fit.solve(_in_turn(fit, continued(fit, bounds[:kept], point)), ROUGHLY))
+        point = near.point
         if _is_near(fit, near) or length <= _shortest(fit.runs.log):
             return fit, near, tied(fit, near), bounds[kept:]
-        length *= 0.5
+        (first, last), length = bounds.T, 0.5 * length
+        bounds = np.stack([first, 0.5 * (first + last), 0.5 * (first + last), last], axis=1).reshape(-1, 2)
 
 
 def _length(fit, point):
@@ -243,8 +245,8 @@ def _in_turn(fit, point):
         if still.distance(one) > NOISY:
             one = still.solve(one, ROUGHLY).point
         states += one.states
-        (segment,), machine = still.runs.segments(one), still.runs.machine(one.values)
-        before = state_at(machine, segment, states[-1], one.bounds[0, 1] - np.mean(one.delays), one.halves)
+        start, end = one.bounds[0] - np.mean(one.delays)
+        before = state_at(still.runs.machine(one.values), start, states[-1], end, one.halves)
     return replace(point, states=tuple(states))
 
 
@@ -297,13 +299,19 @@ def _refined(fit, solution):
 
 
 def continued(fit, bounds, point):
-    """Unknowns of other segments; those that start with one of a point start as that does."""
-    runs = fit.runs
-    known = {segment.start: state for segment, state in zip(runs.segments(point), point.states)}
-    other = replace(point, bounds=bounds)
-    starts = [segment.start for segment in runs.segments(other)]
-    states = [] if known.keys() >= set(starts) else first_states(runs, bounds, point.delays, point.values)
-    return replace(other, states=tuple(map(known.get, starts, states or starts)))
+    """Unknowns of other segments; those that start in one of a point start where that is then."""
+    runs, machine, late, states = fit.runs, fit.runs.machine(point.values), np.mean(point.delays), []
+    for at in bounds[:, 0]:
+        k = int(np.searchsorted(point.bounds[:, 0], at + 1e-9)) - 1
+        first, last = point.bounds[k] if k >= 0 else (at, at)
+        if at < last:
+            near = point.states[k]
+            states.append(near if at <= first + 1e-9 else state_at(machine, first - late, near, at - late, point.halves))
+        else:
+            states.append(None)
+    new = np.array([state is None for state in states])
+    others = iter(first_states(runs, bounds[new], point.delays, point.values) if new.any() else ())
+    return replace(point, bounds=bounds, states=tuple(next(others) if each is None else each for each in states))
 
 
 def excess(fit, solution):
@@ -343,7 +351,7 @@ def begin(scene, log, names=(), workers=None, limits=None, priors=None):
         _divided(log.spans, max(length, FEW / EARLY)),
         np.array([each.delay or 0.0 for each in log.measured]),
     )
-    point = Unknowns(bounds[:1], delays, values, ())
+    point = Unknowns(bounds[:0], delays, values, ())
     if length > FEW and fit.solution(continued(fit, _divided(log.spans, length)[:1], point)).growth > PARTED:
         raise SceneError(
             f"{LEAST} messages take {length:.3g} s, in which motions of the scene part {PARTED:g} times: check the "
@@ -402,7 +410,7 @@ def _rough_delays(fit, bounds, delays):
         return float(left @ left) / max(np.count_nonzero(left), 1)
 
     def lowest(of, lags):
-        return sorted((cost(of, lag), lag) for lag in lags)
+        return sorted(fit.tasks(lambda lag: (cost(of, lag), lag), lags))
 
     def best(of):
         most = reach(runs.log)

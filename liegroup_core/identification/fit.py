@@ -262,7 +262,11 @@ class Fit:
     def numerics(self, point, outputs=None):
         """[[(r, p)]] estimated errors of the integration, from steps of half the size; outputs: None: not known."""
         outputs = self.runs.base(point) if outputs is None else outputs
-        finer, size = self.runs.base(replace(point, halves=point.halves + 1)), 2**ORDER / (2**ORDER - 1)
+        return self.errors(outputs, self.runs.base(replace(point, halves=point.halves + 1)))
+
+    def errors(self, outputs, finer):
+        """[[(r, p)]] estimated errors of outputs, from those with steps of half the size."""
+        size = 2**ORDER / (2**ORDER - 1)
         return [[size * apart(*pair) for apart, *pair in zip(self.apart, *both)] for both in zip(outputs, finer)]
 
     def distance(self, point):

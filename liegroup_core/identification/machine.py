@@ -97,10 +97,10 @@ def segments_of(machine, bounds, delays):
     return found
 
 
-def up_to(machine, segment, end):
-    """Segment that goes on to a time in s, after its last measurement."""
-    own = [segment.times[places] for places in segment.places]
-    return _segment(machine, segment.start, segment.rows, own, machine.changes(end), [end])
+def up_to(machine, start, end):
+    """Segment without measurements between times in s."""
+    start, end = (round(time * NS) / NS for time in (start, end))
+    return _segment(machine, start, (), [], machine.changes(end), [end])
 
 
 def _segment(machine, first, rows, own, changes, more=()):

@@ -37,21 +37,20 @@ def first_states(runs, bounds, delays=None, values=None):
     machine = runs.machine(runs.numbers.values if values is None else values)
     delays = np.zeros(len(log.measured)) if delays is None else delays
     state, states, seen = machine.start, [], _seen(machine, log)
-    for k, (pair, segment) in enumerate(zip(bounds, segments_of(machine, bounds, delays))):
-        start, end = segment.start, pair[1] - np.mean(delays)
+    for k, (start, end) in enumerate(bounds - np.mean(delays)):
         for guess in (_measured, _put, _as_before):
             states[k:] = [guess(machine, log, seen, state, start, delays)]
-            found = state_at(machine, segment, states[k], end)
+            found = state_at(machine, start, states[k], end)
             if found is not None:
                 break
         state = states[k] if found is None else found
     return tuple(states)
 
 
-def state_at(machine, segment, state, end, halves=0):
-    """State to which a Segment leads at a time in s after its measurements; None if the run fails."""
+def state_at(machine, start, state, end, halves=0):
+    """State at a time in s to which a run from a state at `start` leads; None if it fails."""
     try:
-        machine.run(up_to(machine, segment, end), state, halves=halves)
+        machine.path(up_to(machine, start, end), state, np.zeros(0, dtype=int), halves=halves)
     except LieGroupSimError:
         return None
     return machine.present()
