@@ -38,6 +38,8 @@ WIDEST, PART_OF_LOG, CANDIDATES, FINER = 30.0, 0.5, 10, 11
 NOISY = 4.0  # mean square that is nearly noise: a wrong model does not lead to a delay far away
 NEAR = 100.0  # mean square: residuals of ten deviations are no question of single clocks, and show no delay
 CLEARLY = 0.25  # of the mean square without a delay
+# Of the median of the mean squares: what half a distance of the delays leaves of motions four of them long, squared.
+HIT = 1.0 / 16.0
 FEW, EARLY = 1.0, 8  # s of the log in which they are tried, at least, and parts of it
 KEPT = 0.5  # share of the measurements of a clock that stay
 REFINED, MOST_REFINED = 0.1, 3  # change of the noise that is small, and repetitions
@@ -414,8 +416,9 @@ def _rough_delays(fit, bounds, delays):
 
     def best(of):
         most = reach(runs.log)
-        found, lag = lowest(of, min(RANGE, most) * np.linspace(-1.0, 1.0, LAGS))[0]
-        if found > NOISY and most > RANGE and (runs.log.inputs or runs.log.drives):
+        first = lowest(of, min(RANGE, most) * np.linspace(-1.0, 1.0, LAGS))
+        found, lag = first[0]
+        if found > max(NOISY, HIT * first[LAGS // 2][0]) and most > RANGE and (runs.log.inputs or runs.log.drives):
             near = [lag for _, lag in lowest(of, np.arange(-most, most, APART))[:CANDIDATES]]
             other, finer = lowest(of, np.add.outer(near, APART * np.linspace(-0.5, 0.5, FINER)).ravel())[0]
             found, lag = min((found, lag), (other, finer)) if other < NOISY else (found, lag)
