@@ -150,7 +150,7 @@ class Fit:
         for _ in range(MOST_STEPS):
             rest = [self.weighted(one) for one in self.residuals(point, outputs)]
             # Columns of an earlier point serve as long as steps with them are good; the last ones are of the end.
-            is_new = columns is None or [len(r) for r in rest] != [len(part.rest) for part in columns]
+            is_new = not _are_of(columns, rest)
             if is_new:
                 columns = self._linear(point, outputs)
             parts = _at(columns, rest, outputs, slack)
@@ -158,8 +158,10 @@ class Fit:
             for _ in range(MOST_TRIES if is_new else 1):
                 other, trial, lower, share, is_small = self._tried(point, columns, parts, damping, slack)
                 if cost < lower < np.inf and slack is not None:  # ties bend: a second step closes their gaps
-                    again = _at(columns, [self.weighted(one) for one in self.residuals(other, trial)], trial, slack)
-                    other, trial, lower, *_ = self._tried(other, columns, again, damping, slack)
+                    rest = [self.weighted(one) for one in self.residuals(other, trial)]
+                    if _are_of(columns, rest):
+                        again = _at(columns, rest, trial, slack)
+                        other, trial, lower, *_ = self._tried(other, columns, again, damping, slack)
                 is_better = lower <= cost * (1.0 + ROUND_OFF)
                 if is_better or is_small:
                     break
@@ -220,7 +222,7 @@ class Fit:
         outputs = self.runs.base(point) if outputs is None else outputs
         residuals = self.residuals(point, outputs)
         rest = [self.weighted(one) for one in residuals]
-        if columns is None or [len(r) for r in rest] != [len(part.rest) for part in columns]:
+        if not _are_of(columns, rest):
             columns = self._linear(point, outputs)
         sizes, growth = [], 0.0
         for sigma, each in zip(self.deviation, self._log):
@@ -419,6 +421,11 @@ class Change:
             return 1.0 / LAG, self._runs.beside_times(self._point, k)
         way, found = self._runs.beside_number(self._point, k)
         return way / CHANGE, found
+
+
+def _are_of(columns, rest):
+    """Whether columns [Part], or None, have the measurements of residuals [(N_s,)]: delays move some to others."""
+    return columns is not None and [len(r) for r in rest] == [len(part.rest) for part in columns]
 
 
 def _at(columns, rest, outputs, slack):
