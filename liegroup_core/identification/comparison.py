@@ -2,7 +2,7 @@
 """Comparison of a log with a scene: what noise, errors of the integration, and the model account for."""
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 import scipy
@@ -14,6 +14,7 @@ from .contradictions import Effect, Effects, Missing, channel_fits, white
 from .fit import Fit, Solution
 from .horizon import Horizon, horizons
 from .runs import Runs, Unknowns
+from .scales import no_direction, scale
 from .starts import first_states, has_others, starts_of, state_at
 
 LEVEL = 0.95  # of intervals
@@ -43,6 +44,7 @@ HIT = 1.0 / 16.0
 FEW, EARLY = 1.0, 8  # s of the log in which they are tried, at least, and parts of it
 KEPT = 0.5  # share of the measurements of a clock that stay
 REFINED, MOST_REFINED = 0.1, 3  # change of the noise that is small, and repetitions
+STRANGE = 10.0  # standard deviations: rms from which on another unit may explain it
 ROUGHLY = 1e-3  # relative decrease of the sum of squares in the last step: effects are judged by larger ones
 
 
@@ -81,7 +83,12 @@ class Comparison:
     def agrees(self):
         """Whether one run along the log leaves white noise, predictions keep their band, and no effect is clear."""
         is_near = self.horizon is None or self.horizon.differs_from == np.inf
-        return self.is_noise and is_near and not self.effects
+        return self.is_noise and is_near and not self.effects and not self.without
+
+    @property
+    def without(self):
+        """Names of angles that are as random as directions: they show nothing."""
+        return no_direction(self.fit)
 
     @property
     def is_noise(self):
@@ -165,6 +172,8 @@ class Comparison:
             text += f"{worst.name} is {worst.chi:.3g} times its noise off (rms {worst.rms:.3g})."
         else:
             text += f"{worst.name} is as near as its noise (rms {worst.rms:.3g}), but what is left is not noise."
+        if self.without:
+            text += f" {self.without[0]} is as random as directions: check its unit."
         if not self.effects:
             return text + " No listed effect explains it."
         first = self.effects[0]
@@ -203,7 +212,8 @@ def fitted(scene, log, names=(), workers=None, limits=None, priors=None, held_ou
     held_out : share of the segments, at the end, that are left out
     """
     fit, point = begin(scene, log, names, workers, limits, priors)
-    length, point = _length(fit, point)
+    length, few = _length(fit, point)
+    point = few.point
     bounds = _divided(log.usable.spans, length)
     while True:
         kept = max(1, len(bounds) - round(held_out * len(bounds)))
@@ -215,10 +225,10 @@ def fitted(scene, log, names=(), workers=None, limits=None, priors=None, held_ou
         bounds = np.stack([first, 0.5 * (first + last), 0.5 * (first + last), last], axis=1).reshape(-1, 2)
 
 
-def _length(fit, point):
-    """(Length in s of the longest segments in which the model is near, Unknowns of a few of them)."""
+def _length(fit, point, count=FEW_SEGMENTS):
+    """(Length in s of the longest segments in which the model is near, Solution of a few of them)."""
     spans, length, numbers = fit.runs.log.spans, _shortest(fit.runs.log), fit.runs.numbers
-    most, best = max(last - first for first, last in spans) / FEW_SEGMENTS, None
+    most, best = max(last - first for first, last in spans) / count, None
     # A few short segments show some numbers and delays badly: these stay near to what they are.
     known, late = np.isfinite(fit.priors[:, 1:]), np.column_stack([point.delays, np.full(len(fit.free), 0.5 * APART)])
     priors = np.where(known, fit.priors, np.column_stack([point.values, numbers.scales]))
@@ -227,14 +237,14 @@ def _length(fit, point):
         bounds = [
             (start, min(start + length, last + 1e-6))
             for first, last in spans
-            for start in first + (last - first) * np.arange(FEW_SEGMENTS) / FEW_SEGMENTS
+            for start in first + (last - first) * np.arange(count) / count
         ]
         point = in_short_steps(few, continued(few, np.array(bounds), point))
         solution = _refined(few, few.solve(point, ROUGHLY))
         if best is not None and not _is_near(few, solution):
             break
-        best, point, length = length, solution.point, 2.0 * length
-    return best, point
+        best, found, point, length = length, solution, solution.point, 2.0 * length
+    return best, found
 
 
 def _in_turn(fit, point):
@@ -339,7 +349,21 @@ def judged(fit, near, solution):
         fit, solution, channel_fits(fit, solution), [], [], [], errors, horizons(fit, near, solution), jointly
     )
     effects, alone, missing, is_explained = judge.find(found.is_noise)
+    far = scale(partial(_longest, fit.workers), fit) if _is_strange(found, is_explained) else None
+    if far is not None:  # others are linear about a wrong motion
+        effects, alone, is_explained = [far], [far, *alone], True
     return replace(found, effects=effects, alone=alone, missing=missing, is_explained=is_explained)
+
+
+def _is_strange(found, is_explained):
+    """Whether outputs may have another unit: angles are random, or nothing explains residuals of many deviations."""
+    return bool(found.without) or not is_explained and found.worst.chi > STRANGE
+
+
+def _longest(workers, scene, log):
+    """(Fit, s, Solution) of the longest run from the start of a log in which the model is near; 0 s: of none."""
+    fit, point = begin(scene, log, (), workers)
+    return fit, *_length(fit, point, 1)
 
 
 def begin(scene, log, names=(), workers=None, limits=None, priors=None):
