@@ -318,7 +318,9 @@ def continued(fit, bounds, point):
         first, last = point.bounds[k] if k >= 0 else (at, at)
         if at < last:
             near = point.states[k]
-            states.append(near if at <= first + 1e-9 else state_at(machine, first - late, near, at - late, point.halves))
+            states.append(
+                near if at <= first + 1e-9 else state_at(machine, first - late, near, at - late, point.halves)
+            )
         else:
             states.append(None)
     new = np.array([state is None for state in states])
@@ -349,25 +351,21 @@ def judged(fit, near, solution):
         fit, solution, channel_fits(fit, solution), [], [], [], errors, horizons(fit, near, solution), jointly
     )
     effects, alone, missing, is_explained = judge.find(found.is_noise)
-    far = scale(partial(_longest, fit.workers), fit) if _is_strange(found, is_explained) else None
+    # Angles are random, or residuals large: outputs may have another unit.
+    far = scale(partial(_longest, fit.workers), fit) if found.without or found.worst.chi > STRANGE else None
     if far is not None:  # others are linear about a wrong motion
         effects, alone, is_explained = [far], [far, *alone], True
     return replace(found, effects=effects, alone=alone, missing=missing, is_explained=is_explained)
 
 
-def _is_strange(found, is_explained):
-    """Whether outputs may have another unit: angles are random, or nothing explains residuals of many deviations."""
-    return bool(found.without) or not is_explained and found.worst.chi > STRANGE
-
-
 def _longest(workers, scene, log):
     """(Fit, s, Solution) of the longest run from the start of a log in which the model is near; 0 s: of none."""
-    fit, point = begin(scene, log, (), workers)
+    fit, point = begin(scene, log, (), workers, is_late=False)
     return fit, *_length(fit, point, 1)
 
 
-def begin(scene, log, names=(), workers=None, limits=None, priors=None):
-    """(Fit, Unknowns to begin with, without segments); arguments as of `fitted`."""
+def begin(scene, log, names=(), workers=None, limits=None, priors=None, is_late=True):
+    """(Fit, Unknowns to begin with, without segments); arguments as of `fitted`. is_late: whether clocks may be."""
     log = log.usable
     runs = Runs(scene, log, names, LONGEST)
     free = [each.delay is None for each in log.measured]
@@ -383,7 +381,7 @@ def begin(scene, log, names=(), workers=None, limits=None, priors=None):
             f"{LEAST} messages take {length:.3g} s, in which motions of the scene part {PARTED:g} times: check the "
             "unit of the stamps"
         )
-    return fit, replace(point, delays=_rough_delays(fit, bounds, delays))
+    return fit, replace(point, delays=_rough_delays(fit, bounds, delays) if is_late else delays)
 
 
 def in_short_steps(fit, point, outputs=None):

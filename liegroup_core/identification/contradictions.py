@@ -204,7 +204,9 @@ class Effects:
     def scale(self, t, columns):
         """Effect of one scale of some outputs of a Measured."""
         pairs = list(zip(self._solution.residuals, self._solution.outputs))
-        candidate = Candidate("", "1", [[self._only(rest, t, columns, of[t][:, columns], of[-1]) for rest, of in pairs]])
+        candidate = Candidate(
+            "", "1", [[self._only(rest, t, columns, of[t][:, columns], of[-1]) for rest, of in pairs]]
+        )
         left, J, _ = self._reduced(candidate.columns)
         return self._effect(candidate, J, left, float(left @ left))
 

@@ -360,7 +360,9 @@ class Fit:
         step = np.zeros(g)
         if g:
             scales = self.runs.numbers.scales
-            J = np.vstack([chain.columns, self.known, np.sqrt(damping) * np.diag(np.linalg.norm(chain.columns, axis=0))])
+            J = np.vstack(
+                [chain.columns, self.known, np.sqrt(damping) * np.diag(np.linalg.norm(chain.columns, axis=0))]
+            )
             r = np.concatenate([chain.left, self._prior(point), np.zeros(g)])
             low, high = np.full(g, -np.inf), np.full(g, np.inf)
             low[g - q :], high[g - q :] = ((limit - point.values) / scales for limit in self.limits.T)

@@ -15,7 +15,12 @@ from liegroup_core.errors import LieGroupSimError
 from .contradictions import Effect, Effects
 
 KINDS = (("rad", "rad/s"), ("m", "m/s"))
-FACTORS = {1000.0: "in m{}", 180.0 / np.pi: "in degrees for {}", -1.0: "with the opposite sign"}
+# What outputs with a unit then have.
+FACTORS = {
+    1000.0: lambda unit: f"the unit m{unit}",
+    180.0 / np.pi: lambda unit: f"the unit {unit.replace('rad', 'degree')}",
+    -1.0: lambda unit: "the opposite sign",
+}
 MESSAGES = 400  # that are tried
 LONGER = 4.0  # than the run of the log as it is
 # Deviation of an angle in rad from which on it shows no direction: uniform ones have 1.8, and the mean of normal ones
@@ -37,23 +42,27 @@ def scale(longest, fit):
     """
     outputs, best = fit.runs.machine(fit.runs.numbers.values).outputs, None
     log = _first(fit.runs.log)
-    least = LONGER * _tried(longest, fit.runs.scene, log)[1]
-    for t, columns, factor in _candidates(log, outputs):
+    least, (first, last) = LONGER * _tried(longest, fit.runs.scene, log)[1], log.spans[0]
+    for t, columns, factor in _candidates(log, outputs) if least <= last - first else ():
         one, length, solution = _tried(longest, fit.runs.scene, _divided(log, t, columns, factor))
         if length >= least and length > 0.0:
             least = length * (1.0 + 1e-9)
-            units = " and ".join(dict.fromkeys(outputs[t].units[k] for k in columns))
-            names = " and ".join(log.measured[t].channels[k] for k in columns)
             found = Effects(one, solution).scale(t, columns)
-            text = f"{names} in {log.measured[t].name}, which seem{'s' * (len(columns) == 1)} to be "
             best = replace(
                 found,
-                text=text + FACTORS[factor].format(units.replace(" and ", " and m") if factor == 1000.0 else units),
+                text=_text(log.measured[t], columns, [outputs[t].units[k] for k in columns], factor),
                 value=factor * (1.0 + found.value),
                 deviation=abs(factor) * found.deviation,
                 share=_explained(one, solution, t, columns),
             )
     return best
+
+
+def _text(measured, columns, units, factor):
+    """Text of an Effect."""
+    names, them = ", ".join(measured.channels[k] for k in columns), "it seems" if len(columns) == 1 else "they seem"
+    found = " and ".join(dict.fromkeys(map(FACTORS[factor], units)))
+    return f"scale of {names} in {measured.name} ({them} to have {found})"
 
 
 def _tried(longest, scene, log):
@@ -68,7 +77,7 @@ def _tried(longest, scene, log):
 def _first(log):
     """Log of the first measurements."""
     fullest = max(log.measured, key=lambda each: len(each.times))
-    end = min(fullest.times[: MESSAGES][-1], log.spans[0][1])
+    end = min(fullest.times[:MESSAGES][-1], log.spans[0][1])
     counts = [max(1, int((each.times <= end).sum())) for each in log.measured]
     measured = [
         replace(each, times=each.times[:n], values=each.values[:n], deviation=each.noise)
@@ -94,7 +103,9 @@ def _candidates(log, outputs):
         owners = [of.names[k].rpartition(".")[0] for k in own]
         parts = [[k for k, owner in zip(own, owners) if owner == name] for name in dict.fromkeys(owners)]
         groups |= {(t, tuple(columns)): kind for columns in (own, *parts, *([k] for k in own)) if columns}
-    return [(*group, f) for group, kind in groups.items() for f in FACTORS if f < 0.0 or f == 1000.0 or kind is KINDS[0]]
+    return [
+        (*group, f) for group, kind in groups.items() for f in FACTORS if f < 0.0 or f == 1000.0 or kind is KINDS[0]
+    ]
 
 
 def _explained(fit, solution, t, columns):
