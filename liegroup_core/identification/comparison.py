@@ -11,7 +11,7 @@ from liegroup_core.errors import SceneError, SimulationError
 from liegroup_core.linear.coordinates import Coordinates
 
 from .contradictions import Effect, Effects, Missing, channel_fits, white
-from .fit import Fit, Solution
+from .fit import Fit, Solution, covariance
 from .horizon import Horizon, horizons
 from .runs import Runs, Unknowns
 from .scales import no_direction, scale
@@ -120,12 +120,13 @@ class Comparison:
         The deviation is 0 where the delay was given, inf where the log does not show it: also where it is at the border
         of those that are tried, or the model is far off.
         """
-        found, variances, k = {}, np.diag(self.solution.covariance), 0
+        found, k = {}, 0
+        variances = np.diag(covariance_of(self.fit, self.solution, self.solution.chain.columns, self.is_white))
         chi, log = max(1.0, self.reduced), self.fit.runs.log
         border = reach(log) - 0.5 * APART
         for each, delay, free in zip(log.measured, self.solution.point.delays, self.fit.free):
             is_known = abs(delay) <= border and chi <= NEAR
-            deviation = 0.0 if not free else np.sqrt(variances[k] * chi) if is_known else np.inf
+            deviation = 0.0 if not free else np.sqrt(variances[k]) if is_known else np.inf
             found[each.name] = float(delay - each.moved), float(deviation)
             k += bool(free)
         return found
@@ -382,6 +383,44 @@ def begin(scene, log, names=(), workers=None, limits=None, priors=None, is_late=
             "unit of the stamps"
         )
     return fit, replace(point, delays=_rough_delays(fit, bounds, delays) if is_late else delays)
+
+
+def covariance_of(fit, solution, columns, is_white):
+    """(g, g) covariance of free delays and numbers, of columns (m, g) of a Solution and of what is known before.
+
+    Without white residuals it is robust: that of correlated ones (Newey and West 1987).
+    """
+    plain = covariance(columns)
+    if is_white:
+        return plain * max(1.0, solution.reduced)
+    finite = np.where(np.isfinite(plain), plain, 0.0)
+    return np.where(np.isfinite(plain), finite @ _spread(fit, solution) @ finite, plain)
+
+
+def _spread(fit, solution):
+    """(g, g) covariance of the slopes of the sum of squares, of correlated residuals.
+
+    Slopes of the measurements of one time are one; the width is that of Andrews (1991), of a process of order one.
+    """
+    still, g, found = solution.chain.starts(np.zeros(len(solution.covariance))), len(solution.covariance), []
+    moved = [solution.chain.starts(row) for row in np.eye(g)]
+    times = [s.places for s in fit.runs.segments(solution.point)]
+    for k, part in enumerate(solution.parts):
+        change = np.array([each[k] - still[k] for each in moved]).T
+        slopes = (part.own @ change.reshape(len(still[k]), g) + part.shared) * part.rest[:, None]
+        owner = np.concatenate([np.repeat(at, rest.shape[1]) for at, rest in zip(times[k], solution.residuals[k])])
+        rows = np.zeros((owner.max(initial=-1) + 1, g))
+        np.add.at(rows, owner, slopes)
+        found.append(rows[np.unique(owner)])
+    rows = np.vstack(found)
+    rho = np.einsum("ij,ij->j", rows[1:], rows[:-1]) / np.maximum(np.einsum("ij,ij->j", rows, rows), 1e-300)
+    rho = min(max(rho.max(initial=0.0), 0.0), 0.97)
+    width = 1.1447 * (4.0 * rho**2 / (1.0 - rho**2) ** 2 * len(rows)) ** (1.0 / 3.0)
+    total = rows.T @ rows
+    for lag in range(1, min(int(width) + 1, len(rows))):
+        C = rows[lag:].T @ rows[:-lag]
+        total += (1.0 - lag / (width + 1.0)) * (C + C.T)
+    return total
 
 
 def in_short_steps(fit, point, outputs=None):

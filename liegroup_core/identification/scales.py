@@ -12,7 +12,7 @@ import numpy as np
 
 from liegroup_core.errors import LieGroupSimError
 
-from .contradictions import Effect, Effects
+from .contradictions import Effects
 
 KINDS = (("rad", "rad/s"), ("m", "m/s"))
 # What outputs with a unit then have.

@@ -12,7 +12,7 @@ from liegroup_core.observables.quantities import PLACES, POSITION, RATES, ROTATI
 
 from .chain import SHOWN
 from .fit import HIDDEN
-from .machine import Apart, directions, floating, segments_of, up_to
+from .machine import Apart, directions, floating, up_to
 from .runs import CHANGE as STEP
 
 PARTS = ("position", "velocity")
