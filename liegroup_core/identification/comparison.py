@@ -15,13 +15,12 @@ from .fit import Fit, Solution, covariance
 from .horizon import Horizon, horizons
 from .runs import Runs, Unknowns
 from .scales import no_direction, scale
-from .starts import first_states, has_others, starts_of, state_at
+from .starts import LEAST, ROUGHLY, alone, first_states, has_others, shortest, starts_of, state_at
 
 LEVEL = 0.95  # of intervals
 WRONG = 0.01  # probability that residuals of a right model are not found white
 SLACKS = 1.0, 1e-2, 1e-5  # of ties, one after the other
 FEW_SEGMENTS = 4  # of each recording, which show how long segments may be
-LEAST = 9  # measurements in a segment: as many as the first guess of a start takes
 LINEAR = 0.01  # of the spread of an output: largest rms that is not noise, for effects to be linear
 # Three standard deviations of mean square minus estimated variance of n residuals that are white noise, by the variance
 # and sqrt(n): those of the mean square, sqrt(2), and of third differences, 3.1, which are correlated with it.
@@ -45,7 +44,6 @@ FEW, EARLY = 1.0, 8  # s of the log in which they are tried, at least, and parts
 KEPT = 0.5  # share of the measurements of a clock that stay
 REFINED, MOST_REFINED = 0.1, 3  # change of the noise that is small, and repetitions
 STRANGE = 10.0  # standard deviations: rms from which on another unit may explain it
-ROUGHLY = 1e-3  # relative decrease of the sum of squares in the last step: effects are judged by larger ones
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,7 +218,7 @@ def fitted(scene, log, names=(), workers=None, limits=None, priors=None, held_ou
         kept = max(1, len(bounds) - round(held_out * len(bounds)))
         near = _refined(fit, fit.solve(_in_turn(fit, continued(fit, bounds[:kept], point)), ROUGHLY))
         point = near.point
-        if _is_near(fit, near) or length <= _shortest(fit.runs.log):
+        if _is_near(fit, near) or length <= shortest(fit.runs.log):
             return fit, near, tied(fit, near), bounds[kept:]
         (first, last), length = bounds.T, 0.5 * length
         bounds = np.stack([first, 0.5 * (first + last), 0.5 * (first + last), last], axis=1).reshape(-1, 2)
@@ -228,7 +226,7 @@ def fitted(scene, log, names=(), workers=None, limits=None, priors=None, held_ou
 
 def _length(fit, point, count=FEW_SEGMENTS):
     """(Length in s of the longest segments in which the model is near, Solution of a few of them)."""
-    spans, length, numbers = fit.runs.log.spans, _shortest(fit.runs.log), fit.runs.numbers
+    spans, length, numbers = fit.runs.log.spans, shortest(fit.runs.log), fit.runs.numbers
     most, best = max(last - first for first, last in spans) / count, None
     # A few short segments show some numbers and delays badly: these stay near to what they are.
     known, late = np.isfinite(fit.priors[:, 1:]), np.column_stack([point.delays, np.full(len(fit.free), 0.5 * APART)])
@@ -250,7 +248,7 @@ def _length(fit, point, count=FEW_SEGMENTS):
 
 def _in_turn(fit, point):
     """Unknowns whose starts that are far from the measurements follow from the segments before, one after the other."""
-    still, states, before = fixed(fit, point.values), [], None
+    still, states, before = alone(fit.runs, point.values, fit.deviation, fit.workers), [], None
     for k in range(len(point.bounds)):
         one = replace(point, bounds=point.bounds[k : k + 1], states=(point.states[k],), values=np.zeros(0))
         guesses = [one] if before is None else [one, replace(one, states=(before,))]
@@ -268,20 +266,6 @@ def tied(fit, found):
     for slack in SLACKS:
         found = fit.solve(found.point, ROUGHLY, found, slack)
     return found
-
-
-def fixed(fit, values):
-    """Fit of the starts alone, with numbers (q,)."""
-    numbers, log = fit.runs.numbers, fit.runs.log
-    scaled = [replace(each, values=each.values * size) for each, size in zip(log.inputs, numbers.factors(values))]
-    runs = Runs(numbers.scene_at(values), replace(log, inputs=tuple(scaled)), (), LONGEST)
-    return Fit(runs, fit.deviation, fit.free & False, None, None, fit.workers)
-
-
-def _shortest(log):
-    """Length in s of segments with as many measurements as the first guess of a start takes."""
-    fullest = max(log.measured, key=lambda each: len(each.times))
-    return LEAST * (float(np.median(np.diff(fullest.times))) if len(fullest.times) > 1 else 1.0)
 
 
 def _divided(spans, length):
@@ -371,7 +355,7 @@ def begin(scene, log, names=(), workers=None, limits=None, priors=None, is_late=
     runs = Runs(scene, log, names, LONGEST)
     free = [each.delay is None for each in log.measured]
     fit = Fit(runs, [each.noise for each in log.measured], free, limits, priors, workers)
-    length, values = _shortest(log), np.clip(runs.numbers.values, *fit.limits.T)
+    length, values = shortest(log), np.clip(runs.numbers.values, *fit.limits.T)
     bounds, delays = (
         _divided(log.spans, max(length, FEW / EARLY)),
         np.array([each.delay or 0.0 for each in log.measured]),

@@ -5,11 +5,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .comparison import Comparison, covariance_of, fitted, fixed, judged, tied
+from .comparison import Comparison, covariance_of, fitted, judged, tied
 from .contradictions import channel_fits
 from .fit import Fit
 from .log import ENOUGH
-from .starts import first_states
+from .starts import alone, first_states
 
 ROUNDS = 3  # of fits, with the noise of the residuals of the one before
 UNKNOWN = 1.0  # standard deviation of a combination, relative to the numbers: above it nothing is known
@@ -130,7 +130,7 @@ def _validated(fit, bounds, point):
     """Rms of the weighted residuals of the segments left out, with the numbers of the scene and with those found."""
     found = []
     for values in (fit.runs.numbers.values, point.values):
-        other = fixed(fit, values)
+        other = alone(fit.runs, values, fit.deviation, fit.workers)
         states = first_states(other.runs, bounds, point.delays)
         start = replace(point, bounds=bounds, states=states, values=other.runs.numbers.values)
         solution = tied(other, other.solve(start))
