@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Starts of segments: guesses, from polynomials through the nearest measurements, and what a fit knows of them."""
+"""Starts of segments: guesses, by fits to the next measurements, and what a fit knows of them."""
 
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -18,8 +18,6 @@ from .runs import CHANGE as STEP
 from .runs import Runs, Unknowns
 
 PARTS = ("position", "velocity")
-NEIGHBOURS = {1: 9, 2: 5}  # measurements to which a polynomial is fitted: positions alone, and with velocities
-DEGREE = 3
 LEAST = 9  # measurements in a segment: those to which a start is fitted
 ROUGHLY = 1e-3  # relative decrease of the sum of squares in the last step: effects are judged by larger ones
 
@@ -27,9 +25,8 @@ ROUGHLY = 1e-3  # relative decrease of the sum of squares in the last step: effe
 def first_states(runs, bounds, delays=None, values=None):
     """[MachineState] at the start of each segment between bounds (s, 2) in s.
 
-    Independent joints that were measured are put to where polynomials through the nearest measurements are, then a run
-    is fitted to the next measurements if bodies or sensors were measured. What was not measured is where the run of
-    the segment before ends, or at the start of the scene.
+    Independent joints that were measured are put to where they were, then a run is fitted to the next measurements if
+    they do not have all velocities. What was not measured is where the run of the segment before ends, or at the start of the scene.
 
     values : (q,) numbers of the scene; None: its own
     Raises SceneError if the mechanism cannot be put there.
@@ -38,11 +35,13 @@ def first_states(runs, bounds, delays=None, values=None):
     machine = runs.machine(runs.numbers.values if values is None else values)
     delays = np.zeros(len(log.measured)) if delays is None else delays
     state, states, length = machine.start, [], shortest(log)
-    still = alone(runs, runs.numbers.values if values is None else values) if has_others(log) else None
+    names = {name for each in log.measured for name in each.channels}
+    is_known = not has_others(log) and all(f"{name.rpartition('.')[0]}.velocity" in names for name in names)
+    still = None if is_known else alone(runs, runs.numbers.values if values is None else values)
     for begin, end in bounds:
         start, before = begin - np.mean(delays), state
         state = _put(machine, log, before, start, delays)
-        for part in (1.0 / LEAST, 1.0) if still is not None else ():  # one measurement shows places, more show rates
+        for part in () if is_known else (1.0 / LEAST, 1.0):  # one measurement shows places, more show rates
             point = Unknowns(np.array([[begin, begin + part * length]]), delays, np.zeros(0), (state,))
             with suppress(SimulationError):
                 (state,) = still.solve(point, ROUGHLY).point.states
@@ -84,7 +83,7 @@ def _put(machine, log, state, time, delays):
     found, state = {}, machine.timed(state, time)
     for each, delay in zip(log.measured, delays):
         for joint in dict.fromkeys(name.rpartition(".")[0] for name in each.channels if name.endswith(".position")):
-            found.setdefault(joint, _guess(each, joint, time + delay))
+            found.setdefault(joint, _nearest(each, joint, time + delay))
     machine.at(state)
     try:
         coordinates = Coordinates(machine.probe, preferred=[name for name in found if name in _names(machine)])
@@ -100,32 +99,15 @@ def _names(machine):
     return [freedom.name for freedom in machine.layout.freedoms]
 
 
-def _guess(measured, joint, time):
-    """(position, velocity) of a joint at a time, or None: of the polynomial through the nearest measurements."""
-    channels, noise = list(measured.channels), measured.noise
-    rows = {part: channels.index(f"{joint}.{part}") for part in PARTS if f"{joint}.{part}" in channels}
-    q = measured.values[:, rows["position"]]
-    known = np.flatnonzero(np.isfinite(q))
-    near = known[np.argsort(np.abs(measured.times[known] - time), kind="stable")[: NEIGHBOURS[len(rows)]]]
-    near.sort()
-    if not len(near):
-        return None
-    x, degree = measured.times[near] - _within(measured.times[near], time), min(DEGREE, len(near) - 1)
-    powers, sigma = np.vander(x, degree + 1, increasing=True), noise[rows["position"]]
-    left, right = [powers / sigma], [np.unwrap(q[near]) / sigma]
-    if "velocity" in rows:
-        v, sigma = measured.values[near, rows["velocity"]], noise[rows["velocity"]]
-        slopes, usable = np.arange(degree + 1) * np.roll(powers, 1, axis=1), np.isfinite(v)
-        left.append(slopes[usable] / sigma)
-        right.append(v[usable] / sigma)
-    fitted = np.linalg.lstsq(np.vstack(left), np.concatenate(right), rcond=None)[0]
-    return float(fitted[0]), float(fitted[1]) if degree else 0.0
-
-
-def _within(times, time):
-    """Time for a polynomial through measurements at times (k,): not farther beyond them than their usual distance."""
-    usual = (times.max() - times.min()) / max(len(times) - 1, 1)
-    return float(np.clip(time, times.min() - usual, times.max() + usual))
+def _nearest(measured, joint, time):
+    """(position, velocity) of a joint that were measured nearest to a time, 0: no velocity; None: no position."""
+    found = []
+    for name in (f"{joint}.{part}" for part in PARTS):
+        if name in measured.channels:
+            values = measured.values[:, measured.channels.index(name)]
+            known = np.flatnonzero(np.isfinite(values))
+            found += values[known[np.abs(measured.times[known] - time).argsort()[:1]]].tolist()
+    return (*found, 0.0)[:2] if found else None
 
 
 def has_others(log):
