@@ -26,7 +26,8 @@ def first_states(runs, bounds, delays=None, values=None):
     """[MachineState] at the start of each segment between bounds (s, 2) in s.
 
     Independent joints that were measured are put to where they were, then a run is fitted to the next measurements if
-    they do not have all velocities. What was not measured is where the run of the segment before ends, or at the start of the scene.
+    they do not have all velocities. What was not measured is where the run of the segment before ends, or at the start
+    of the scene.
 
     values : (q,) numbers of the scene; None: its own
     Raises SceneError if the mechanism cannot be put there.

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import scipy
 
-from liegroup_core.identification import Log, Measured, compare, identify
+from liegroup_core.identification import Given, Log, Measured, compare, identify
 from liegroup_core.identification.horizon import Horizon, _rounded
 from liegroup_core.scene.load import scene_from_text
 
@@ -31,7 +31,19 @@ LACKING = {
     "quadratic drag": lambda q, v: -0.01 * v * abs(v),
     "cogging": lambda q, v: 0.03 * np.sin(8.0 * q),
     "a spring that hardens": lambda q, v: -0.1 * q**3,
+    "friction by load": lambda q, v: rubbed(q, v, 1e-3),
 }
+INERTIA = MASS * (LENGTH**2 / 3.0 + RADIUS**2 / 4.0)
+
+
+def rubbed(q, v, size):
+    """Effort of friction that is `size` in m times the force in the hinge, which depends on it: by iteration."""
+    effort, arm = 0.0, 0.5 * LENGTH
+    for _ in range(4):  # each one has 1e-3 of the error of the one before
+        slope = (effort - VISCOUS * v - MASS * GRAVITY * arm * np.sin(q)) / INERTIA
+        force = MASS * np.hypot(arm * slope + GRAVITY * np.sin(q), arm * v**2 + GRAVITY * np.cos(q))
+        effort = -size * force * np.sign(v)
+    return effort
 
 
 def log_of(effort, seed, noise=NOISE):
@@ -48,7 +60,45 @@ def log_of(effort, seed, noise=NOISE):
     return Log((), (Measured("/joint_states", times, ("hinge.position",), values[:, None], np.array([np.nan]), 0.0),))
 
 
-NAMED = {"quadratic drag": ("quadratic drag of hinge", 0.01), "cogging": ("cogging of hinge, 8 times a turn", 0.03)}
+NAMED = {
+    "quadratic drag": ("quadratic drag of hinge", 0.01),
+    "cogging": ("cogging of hinge, 8 times a turn", 0.03),
+    "friction by load": ("friction by load of hinge", 1e-3),
+}
+
+
+def driven(lag, compliance):
+    """Log of the pendulum with an effort that acts behind a critically damped lag in s, and an encoder of its motor.
+
+    Between encoder and rod a spring bends by the compliance, rad/(N m), times the effort.
+    """
+    at = np.arange(300) / RATE
+    u, y, q = 0.6 * np.sin(9.0 * at) + 0.6 * np.sin(23.0 * at + 1.0), [0.3, 0.0, 0.0, 0.0], [0.3]
+
+    def slope(_, y, u):
+        effort = y[2] if lag else u
+        late = [y[3], (u - y[2]) / lag**2 - 2.0 * y[3] / lag] if lag else [0.0, 0.0]
+        return [y[1], (effort - VISCOUS * y[1] - MASS * GRAVITY * 0.5 * LENGTH * np.sin(y[0])) / INERTIA, *late]
+
+    for each in u[:-1]:
+        y = scipy.integrate.solve_ivp(slope, (0.0, 1.0 / RATE), y, args=(each,), rtol=1e-10, atol=1e-12).y[:, -1]
+        q.append(y[0])
+    values = q + compliance * np.append(0.0, u[:-1]) + 5e-4 * np.random.default_rng(3).normal(size=len(q))
+    measured = Measured("/joint_states", at, ("hinge.position",), values[:, None], np.array([np.nan]), 0.0)
+    return Log((Given("hinge.effort", at, u),), (measured,))
+
+
+@pytest.mark.parametrize(
+    ("lag", "compliance", "effect", "size"),
+    [(0.01, 0.0, "second-order lag of hinge.effort by 10 ms", 1.0), (0.0, 0.02, "flexibility of hinge", 0.02)],
+)
+def test_a_drive_that_lags_or_bends_is_named(lag, compliance, effect, size):
+    """The size is linear about a model without: to a tenth."""
+    scene = scene_from_text(SCENE.replace("viscous: 0.01", f"viscous: {VISCOUS}"))
+    found = compare(scene, driven(lag, compliance), workers=1)
+    first = found.effects[0]
+    assert not found.agrees and first.text == effect and first.value == pytest.approx(size, rel=0.1)
+    assert compare(scene, driven(0.0, 0.0), workers=1).agrees
 
 
 def bound():
