@@ -25,9 +25,8 @@ ROUGHLY = 1e-3  # relative decrease of the sum of squares in the last step: effe
 def first_states(runs, bounds, delays=None, values=None):
     """[MachineState] at the start of each segment between bounds (s, 2) in s.
 
-    Independent joints that were measured are put to where they were, then a run is fitted to the next measurements if
-    they do not have all velocities. What was not measured is where the run of the segment before ends, or at the start
-    of the scene.
+    Independent joints that were measured are put to where they were, then a run is fitted to the next measurements.
+    What was not measured is where the run of the segment before ends, or at the start of the scene.
 
     values : (q,) numbers of the scene; None: its own
     Raises SceneError if the mechanism cannot be put there.
@@ -36,13 +35,12 @@ def first_states(runs, bounds, delays=None, values=None):
     machine = runs.machine(runs.numbers.values if values is None else values)
     delays = np.zeros(len(log.measured)) if delays is None else delays
     state, states, length = machine.start, [], shortest(log)
-    names = {name for each in log.measured for name in each.channels}
-    is_known = not has_others(log) and all(f"{name.rpartition('.')[0]}.velocity" in names for name in names)
-    still = None if is_known else alone(runs, runs.numbers.values if values is None else values)
+    still = alone(runs, runs.numbers.values if values is None else values)
+    parts = (1.0 / LEAST, 1.0) if has_others(log) else (1.0,)  # one measurement shows places, more show rates
     for begin, end in bounds:
         start, before = begin - np.mean(delays), state
         state = _put(machine, log, before, start, delays)
-        for part in () if is_known else (1.0 / LEAST, 1.0):  # one measurement shows places, more show rates
+        for part in parts:
             point = Unknowns(np.array([[begin, begin + part * length]]), delays, np.zeros(0), (state,))
             with suppress(SimulationError):
                 (state,) = still.solve(point, ROUGHLY).point.states
