@@ -2,7 +2,7 @@
 """Comparison of a log with a scene: what noise, errors of the integration, and the model account for."""
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 import scipy
@@ -11,16 +11,16 @@ from liegroup_core.errors import SceneError, SimulationError
 from liegroup_core.linear.coordinates import Coordinates
 
 from .contradictions import Effect, Effects, Missing, channel_fits, white
-from .fit import Fit, Solution
+from .fit import Fit, Solution, covariance
 from .horizon import Horizon, horizons
 from .runs import Runs, Unknowns
-from .starts import first_states, has_others, starts_of, state_at
+from .scales import no_direction, scale
+from .starts import LEAST, ROUGHLY, alone, first_states, has_others, shortest, starts_of, state_at
 
 LEVEL = 0.95  # of intervals
 WRONG = 0.01  # probability that residuals of a right model are not found white
 SLACKS = 1.0, 1e-2, 1e-5  # of ties, one after the other
 FEW_SEGMENTS = 4  # of each recording, which show how long segments may be
-LEAST = 9  # measurements in a segment: as many as the first guess of a start takes
 LINEAR = 0.01  # of the spread of an output: largest rms that is not noise, for effects to be linear
 # Three standard deviations of mean square minus estimated variance of n residuals that are white noise, by the variance
 # and sqrt(n): those of the mean square, sqrt(2), and of third differences, 3.1, which are correlated with it.
@@ -32,15 +32,18 @@ LONGEST = 0.01  # s, first longest step; it is halved until the errors are a sma
 PART = 0.1  # of the noise: largest error of the integration
 MOST_HALVES = 8
 RANGE, LAGS = 1.0, 41  # s, delays up to this are tried first; their number
+APART = 2.0 * RANGE / (LAGS - 1)
 # s, and of a recording: delays up to these are tried at the same distance, then finer, if none before leaves noise.
 WIDEST, PART_OF_LOG, CANDIDATES, FINER = 30.0, 0.5, 10, 11
 NOISY = 4.0  # mean square that is nearly noise: a wrong model does not lead to a delay far away
 NEAR = 100.0  # mean square: residuals of ten deviations are no question of single clocks, and show no delay
 CLEARLY = 0.25  # of the mean square without a delay
+# Of the median of the mean squares: what half a distance of the delays leaves of motions four of them long, squared.
+HIT = 1.0 / 16.0
 FEW, EARLY = 1.0, 8  # s of the log in which they are tried, at least, and parts of it
 KEPT = 0.5  # share of the measurements of a clock that stay
 REFINED, MOST_REFINED = 0.1, 3  # change of the noise that is small, and repetitions
-ROUGHLY = 1e-3  # relative decrease of the sum of squares in the last step: effects are judged by larger ones
+STRANGE = 10.0  # standard deviations: rms from which on another unit may explain it
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +81,12 @@ class Comparison:
     def agrees(self):
         """Whether one run along the log leaves white noise, predictions keep their band, and no effect is clear."""
         is_near = self.horizon is None or self.horizon.differs_from == np.inf
-        return self.is_noise and is_near and not self.effects
+        return self.is_noise and is_near and not self.effects and not self.without
+
+    @property
+    def without(self):
+        """Names of angles that are as random as directions: they show nothing."""
+        return no_direction(self.fit)
 
     @property
     def is_noise(self):
@@ -110,12 +118,13 @@ class Comparison:
         The deviation is 0 where the delay was given, inf where the log does not show it: also where it is at the border
         of those that are tried, or the model is far off.
         """
-        found, variances, k = {}, np.diag(self.solution.covariance), 0
+        found, k = {}, 0
+        variances = np.diag(covariance_of(self.fit, self.solution, self.solution.chain.columns, self.is_white))
         chi, log = max(1.0, self.reduced), self.fit.runs.log
-        border = reach(log) - RANGE / (LAGS - 1)
+        border = reach(log) - 0.5 * APART
         for each, delay, free in zip(log.measured, self.solution.point.delays, self.fit.free):
             is_known = abs(delay) <= border and chi <= NEAR
-            deviation = 0.0 if not free else np.sqrt(variances[k] * chi) if is_known else np.inf
+            deviation = 0.0 if not free else np.sqrt(variances[k]) if is_known else np.inf
             found[each.name] = float(delay - each.moved), float(deviation)
             k += bool(free)
         return found
@@ -162,6 +171,8 @@ class Comparison:
             text += f"{worst.name} is {worst.chi:.3g} times its noise off (rms {worst.rms:.3g})."
         else:
             text += f"{worst.name} is as near as its noise (rms {worst.rms:.3g}), but what is left is not noise."
+        if self.without:
+            text += f" {self.without[0]} is as random as directions: check its unit."
         if not self.effects:
             return text + " No listed effect explains it."
         first = self.effects[0]
@@ -200,41 +211,44 @@ def fitted(scene, log, names=(), workers=None, limits=None, priors=None, held_ou
     held_out : share of the segments, at the end, that are left out
     """
     fit, point = begin(scene, log, names, workers, limits, priors)
-    length, point = _length(fit, point)
+    length, few = _length(fit, point)
+    point = few.point
+    bounds = _divided(log.usable.spans, length)
     while True:
-        bounds = _divided(log.usable.spans, length)
         kept = max(1, len(bounds) - round(held_out * len(bounds)))
         near = _refined(fit, fit.solve(_in_turn(fit, continued(fit, bounds[:kept], point)), ROUGHLY))
-        if _is_near(fit, near) or length <= _shortest(fit.runs.log):
+        point = near.point
+        if _is_near(fit, near) or length <= shortest(fit.runs.log):
             return fit, near, tied(fit, near), bounds[kept:]
-        length *= 0.5
+        (first, last), length = bounds.T, 0.5 * length
+        bounds = np.stack([first, 0.5 * (first + last), 0.5 * (first + last), last], axis=1).reshape(-1, 2)
 
 
-def _length(fit, point):
-    """(Length in s of the longest segments in which the model is near, Unknowns of a few of them)."""
-    spans, length, numbers = fit.runs.log.spans, _shortest(fit.runs.log), fit.runs.numbers
-    most, best = max(last - first for first, last in spans) / FEW_SEGMENTS, None
-    # A few short segments show some numbers badly: these stay near to what they are, and delays there.
-    known = np.isfinite(fit.priors[:, 1:])
+def _length(fit, point, count=FEW_SEGMENTS):
+    """(Length in s of the longest segments in which the model is near, Solution of a few of them)."""
+    spans, length, numbers = fit.runs.log.spans, shortest(fit.runs.log), fit.runs.numbers
+    most, best = max(last - first for first, last in spans) / count, None
+    # A few short segments show some numbers and delays badly: these stay near to what they are.
+    known, late = np.isfinite(fit.priors[:, 1:]), np.column_stack([point.delays, np.full(len(fit.free), 0.5 * APART)])
     priors = np.where(known, fit.priors, np.column_stack([point.values, numbers.scales]))
-    few = Fit(fit.runs, list(fit.deviation), fit.free & False, fit.limits, priors, fit.workers)
+    few = Fit(fit.runs, list(fit.deviation), fit.free, fit.limits, priors, fit.workers, late)
     while best is None or 2.0 * best <= most:
         bounds = [
             (start, min(start + length, last + 1e-6))
             for first, last in spans
-            for start in first + (last - first) * np.arange(FEW_SEGMENTS) / FEW_SEGMENTS
+            for start in first + (last - first) * np.arange(count) / count
         ]
         point = in_short_steps(few, continued(few, np.array(bounds), point))
         solution = _refined(few, few.solve(point, ROUGHLY))
         if best is not None and not _is_near(few, solution):
             break
-        best, point, length = length, solution.point, 2.0 * length
-    return best, point
+        best, found, point, length = length, solution, solution.point, 2.0 * length
+    return best, found
 
 
 def _in_turn(fit, point):
     """Unknowns whose starts that are far from the measurements follow from the segments before, one after the other."""
-    still, states, before = fixed(fit, point.values), [], None
+    still, states, before = alone(fit.runs, point.values, fit.deviation, fit.workers), [], None
     for k in range(len(point.bounds)):
         one = replace(point, bounds=point.bounds[k : k + 1], states=(point.states[k],), values=np.zeros(0))
         guesses = [one] if before is None else [one, replace(one, states=(before,))]
@@ -242,8 +256,8 @@ def _in_turn(fit, point):
         if still.distance(one) > NOISY:
             one = still.solve(one, ROUGHLY).point
         states += one.states
-        (segment,), machine = still.runs.segments(one), still.runs.machine(one.values)
-        before = state_at(machine, segment, states[-1], one.bounds[0, 1] - np.mean(one.delays), one.halves)
+        start, end = one.bounds[0] - np.mean(one.delays)
+        before = state_at(still.runs.machine(one.values), start, states[-1], end, one.halves)
     return replace(point, states=tuple(states))
 
 
@@ -252,20 +266,6 @@ def tied(fit, found):
     for slack in SLACKS:
         found = fit.solve(found.point, ROUGHLY, found, slack)
     return found
-
-
-def fixed(fit, values):
-    """Fit of the starts alone, with numbers (q,)."""
-    numbers, log = fit.runs.numbers, fit.runs.log
-    scaled = [replace(each, values=each.values * size) for each, size in zip(log.inputs, numbers.factors(values))]
-    runs = Runs(numbers.scene_at(values), replace(log, inputs=tuple(scaled)), (), LONGEST)
-    return Fit(runs, fit.deviation, fit.free & False, None, None, fit.workers)
-
-
-def _shortest(log):
-    """Length in s of segments with as many measurements as the first guess of a start takes."""
-    fullest = max(log.measured, key=lambda each: len(each.times))
-    return LEAST * (float(np.median(np.diff(fullest.times))) if len(fullest.times) > 1 else 1.0)
 
 
 def _divided(spans, length):
@@ -296,13 +296,21 @@ def _refined(fit, solution):
 
 
 def continued(fit, bounds, point):
-    """Unknowns of other segments; those that start with one of a point start as that does."""
-    runs = fit.runs
-    known = {segment.start: state for segment, state in zip(runs.segments(point), point.states)}
-    other = replace(point, bounds=bounds)
-    starts = [segment.start for segment in runs.segments(other)]
-    states = [] if known.keys() >= set(starts) else first_states(runs, bounds, point.delays, point.values)
-    return replace(other, states=tuple(map(known.get, starts, states or starts)))
+    """Unknowns of other segments; those that start in one of a point start where that is then."""
+    runs, machine, late, states = fit.runs, fit.runs.machine(point.values), np.mean(point.delays), []
+    for at in bounds[:, 0]:
+        k = int(np.searchsorted(point.bounds[:, 0], at + 1e-9)) - 1
+        first, last = point.bounds[k] if k >= 0 else (at, at)
+        if at < last:
+            near = point.states[k]
+            states.append(
+                near if at <= first + 1e-9 else state_at(machine, first - late, near, at - late, point.halves)
+            )
+        else:
+            states.append(None)
+    new = np.array([state is None for state in states])
+    others = iter(first_states(runs, bounds[new], point.delays, point.values) if new.any() else ())
+    return replace(point, bounds=bounds, states=tuple(next(others) if each is None else each for each in states))
 
 
 def excess(fit, solution):
@@ -328,27 +336,75 @@ def judged(fit, near, solution):
         fit, solution, channel_fits(fit, solution), [], [], [], errors, horizons(fit, near, solution), jointly
     )
     effects, alone, missing, is_explained = judge.find(found.is_noise)
+    # Angles are random, or residuals large: outputs may have another unit.
+    far = scale(partial(_longest, fit.workers), fit) if found.without or found.worst.chi > STRANGE else None
+    if far is not None:  # others are linear about a wrong motion
+        effects, alone, is_explained = [far], [far, *alone], True
     return replace(found, effects=effects, alone=alone, missing=missing, is_explained=is_explained)
 
 
-def begin(scene, log, names=(), workers=None, limits=None, priors=None):
-    """(Fit, Unknowns to begin with, without segments); arguments as of `fitted`."""
+def _longest(workers, scene, log):
+    """(Fit, s, Solution) of the longest run from the start of a log in which the model is near; 0 s: of none."""
+    fit, point = begin(scene, log, (), workers, is_late=False)
+    return fit, *_length(fit, point, 1)
+
+
+def begin(scene, log, names=(), workers=None, limits=None, priors=None, is_late=True):
+    """(Fit, Unknowns to begin with, without segments); arguments as of `fitted`. is_late: whether clocks may be."""
     log = log.usable
     runs = Runs(scene, log, names, LONGEST)
     free = [each.delay is None for each in log.measured]
     fit = Fit(runs, [each.noise for each in log.measured], free, limits, priors, workers)
-    length, values = _shortest(log), np.clip(runs.numbers.values, *fit.limits.T)
+    length, values = shortest(log), np.clip(runs.numbers.values, *fit.limits.T)
     bounds, delays = (
         _divided(log.spans, max(length, FEW / EARLY)),
         np.array([each.delay or 0.0 for each in log.measured]),
     )
-    point = Unknowns(bounds[:1], delays, values, ())
+    point = Unknowns(bounds[:0], delays, values, ())
     if length > FEW and fit.solution(continued(fit, _divided(log.spans, length)[:1], point)).growth > PARTED:
         raise SceneError(
             f"{LEAST} messages take {length:.3g} s, in which motions of the scene part {PARTED:g} times: check the "
             "unit of the stamps"
         )
-    return fit, replace(point, delays=_rough_delays(fit, bounds, delays))
+    return fit, replace(point, delays=_rough_delays(fit, bounds, delays) if is_late else delays)
+
+
+def covariance_of(fit, solution, columns, is_white):
+    """(g, g) covariance of free delays and numbers, of columns (m, g) of a Solution and of what is known before.
+
+    Without white residuals it is robust: that of correlated ones (Newey and West 1987).
+    """
+    plain = covariance(columns)
+    if is_white:
+        return plain * max(1.0, solution.reduced)
+    finite = np.where(np.isfinite(plain), plain, 0.0)
+    return np.where(np.isfinite(plain), finite @ _spread(fit, solution) @ finite, plain)
+
+
+def _spread(fit, solution):
+    """(g, g) covariance of the slopes of the sum of squares, of correlated residuals.
+
+    Slopes of the measurements of one time are one; the width is that of Andrews (1991), of a process of order one.
+    """
+    still, g, found = solution.chain.starts(np.zeros(len(solution.covariance))), len(solution.covariance), []
+    moved = [solution.chain.starts(row) for row in np.eye(g)]
+    times = [s.places for s in fit.runs.segments(solution.point)]
+    for k, part in enumerate(solution.parts):
+        change = np.array([each[k] - still[k] for each in moved]).T
+        slopes = (part.own @ change.reshape(len(still[k]), g) + part.shared) * part.rest[:, None]
+        owner = np.concatenate([np.repeat(at, rest.shape[1]) for at, rest in zip(times[k], solution.residuals[k])])
+        rows = np.zeros((owner.max(initial=-1) + 1, g))
+        np.add.at(rows, owner, slopes)
+        found.append(rows[np.unique(owner)])
+    rows = np.vstack(found)
+    rho = np.einsum("ij,ij->j", rows[1:], rows[:-1]) / np.maximum(np.einsum("ij,ij->j", rows, rows), 1e-300)
+    rho = min(max(rho.max(initial=0.0), 0.0), 0.97)
+    width = 1.1447 * (4.0 * rho**2 / (1.0 - rho**2) ** 2 * len(rows)) ** (1.0 / 3.0)
+    total = rows.T @ rows
+    for lag in range(1, min(int(width) + 1, len(rows))):
+        C = rows[lag:].T @ rows[:-lag]
+        total += (1.0 - lag / (width + 1.0)) * (C + C.T)
+    return total
 
 
 def in_short_steps(fit, point, outputs=None):
@@ -401,15 +457,15 @@ def _rough_delays(fit, bounds, delays):
         return float(left @ left) / max(np.count_nonzero(left), 1)
 
     def lowest(of, lags):
-        return sorted((cost(of, lag), lag) for lag in lags)
+        return sorted(fit.tasks(lambda lag: (cost(of, lag), lag), lags))
 
     def best(of):
         most = reach(runs.log)
-        found, lag = lowest(of, min(RANGE, most) * np.linspace(-1.0, 1.0, LAGS))[0]
-        if found > NOISY and most > RANGE and (runs.log.inputs or runs.log.drives):
-            apart = 2.0 * RANGE / (LAGS - 1)
-            near = [lag for _, lag in lowest(of, np.arange(-most, most, apart))[:CANDIDATES]]
-            other, finer = lowest(of, np.add.outer(near, apart * np.linspace(-0.5, 0.5, FINER)).ravel())[0]
+        first = lowest(of, min(RANGE, most) * np.linspace(-1.0, 1.0, LAGS))
+        found, lag = first[0]
+        if found > max(NOISY, HIT * first[LAGS // 2][0]) and most > RANGE and (runs.log.inputs or runs.log.drives):
+            near = [lag for _, lag in lowest(of, np.arange(-most, most, APART))[:CANDIDATES]]
+            other, finer = lowest(of, np.add.outer(near, APART * np.linspace(-0.5, 0.5, FINER)).ravel())[0]
             found, lag = min((found, lag), (other, finer)) if other < NOISY else (found, lag)
         # Starts absorb a common delay where little acts: without a clear minimum stamps are right.
         clear = found < CLEARLY * cost(of, 0.0)

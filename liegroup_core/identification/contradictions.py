@@ -201,6 +201,15 @@ class Effects:
             chosen, alone, _ = self._chosen([*listed, *(each for each, *_ in profiles)])
         return chosen, alone, missing, is_explained
 
+    def scale(self, t, columns):
+        """Effect of one scale of some outputs of a Measured."""
+        pairs = list(zip(self._solution.residuals, self._solution.outputs))
+        candidate = Candidate(
+            "", "1", [[self._only(rest, t, columns, of[t][:, columns], of[-1]) for rest, of in pairs]]
+        )
+        left, J, _ = self._reduced(candidate.columns)
+        return self._effect(candidate, J, left, float(left @ left))
+
     def _chosen(self, candidates):
         """([Effect] one after the other; [Effect] each alone, by share; whether they explain what is not noise)."""
         if not candidates:

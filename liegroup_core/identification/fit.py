@@ -20,7 +20,7 @@ from liegroup_core.threads import one_blas_thread
 
 from .chain import Chain, Part, Tie
 from .log import ENOUGH
-from .machine import Apart
+from .machine import NS, Apart
 from .runs import CHANGE, LAG
 
 UNSEEN = 1e-9  # relative singular value of a direction that no measurement shows
@@ -122,16 +122,20 @@ class Fit:
     free     : (t,) whether the delay of each Measured is unknown
     limits   : (q, 2) least and largest numbers of the scene
     priors   : (q, 2) expected values and their standard deviations, inf: none
+    late     : (t, 2) s, the same of delays; None: nothing is known
     workers  : threads; None: as many as cores
     """
 
-    def __init__(self, runs, deviation, free, limits=None, priors=None, workers=None):
+    def __init__(self, runs, deviation, free, limits=None, priors=None, workers=None, late=None):
         q = len(runs.numbers)
         self.runs, self.deviation, self.free = runs, deviation, np.asarray(free, dtype=bool)
         self.workers = workers or os.cpu_count() or 1
         self._team = ThreadPoolExecutor(self.workers) if self.workers > 1 else None
         self.limits = np.tile([-np.inf, np.inf], (q, 1)) if limits is None else np.asarray(limits, dtype=float)
         self.priors = np.tile([0.0, np.inf], (q, 1)) if priors is None else np.asarray(priors, dtype=float)
+        late = np.tile([0.0, np.inf], (len(self.free), 1)) if late is None else late
+        self._expected = np.vstack([late[self.free], self.priors])
+        self._sizes = np.concatenate([np.ones(self.free.sum()), runs.numbers.scales])
         self.apart = [Apart(outputs) for outputs in runs.machine(runs.numbers.values).outputs]
 
     @one_blas_thread()
@@ -146,13 +150,18 @@ class Fit:
         for _ in range(MOST_STEPS):
             rest = [self.weighted(one) for one in self.residuals(point, outputs)]
             # Columns of an earlier point serve as long as steps with them are good; the last ones are of the end.
-            is_new = columns is None or [len(r) for r in rest] != [len(part.rest) for part in columns]
+            is_new = not _are_of(columns, rest)
             if is_new:
                 columns = self._linear(point, outputs)
             parts = _at(columns, rest, outputs, slack)
             cost = self.cost(point, parts)
             for _ in range(MOST_TRIES if is_new else 1):
                 other, trial, lower, share, is_small = self._tried(point, columns, parts, damping, slack)
+                if cost < lower < np.inf and slack is not None:  # ties bend: a second step closes their gaps
+                    rest = [self.weighted(one) for one in self.residuals(other, trial)]
+                    if _are_of(columns, rest):
+                        again = _at(columns, rest, trial, slack)
+                        other, trial, lower, *_ = self._tried(other, columns, again, damping, slack)
                 is_better = lower <= cost * (1.0 + ROUND_OFF)
                 if is_better or is_small:
                     break
@@ -213,7 +222,7 @@ class Fit:
         outputs = self.runs.base(point) if outputs is None else outputs
         residuals = self.residuals(point, outputs)
         rest = [self.weighted(one) for one in residuals]
-        if columns is None or [len(r) for r in rest] != [len(part.rest) for part in columns]:
+        if not _are_of(columns, rest):
             columns = self._linear(point, outputs)
         sizes, growth = [], 0.0
         for sigma, each in zip(self.deviation, self._log):
@@ -255,7 +264,11 @@ class Fit:
     def numerics(self, point, outputs=None):
         """[[(r, p)]] estimated errors of the integration, from steps of half the size; outputs: None: not known."""
         outputs = self.runs.base(point) if outputs is None else outputs
-        finer, size = self.runs.base(replace(point, halves=point.halves + 1)), 2**ORDER / (2**ORDER - 1)
+        return self.errors(outputs, self.runs.base(replace(point, halves=point.halves + 1)))
+
+    def errors(self, outputs, finer):
+        """[[(r, p)]] estimated errors of outputs, from those with steps of half the size."""
+        size = 2**ORDER / (2**ORDER - 1)
         return [[size * apart(*pair) for apart, *pair in zip(self.apart, *both)] for both in zip(outputs, finer)]
 
     def distance(self, point):
@@ -267,8 +280,14 @@ class Fit:
         return float(rest @ rest) / max(len(rest), 1)
 
     def _prior(self, point):
-        """(q,) deviations of the numbers from their priors."""
-        return (self.priors[:, 0] - point.values) / self.priors[:, 1]
+        """(g,) deviations of free delays and numbers from their priors."""
+        present = np.concatenate([point.delays[self.free], point.values])
+        return (self._expected[:, 0] - present) / self._expected[:, 1]
+
+    @property
+    def known(self):
+        """(g, g) columns of the priors with free delays in s and numbers by their scales."""
+        return np.diag(self._sizes / self._expected[:, 1])
 
     def beside(self, outputs, other, residuals):
         """[(N_s + z,)] changes of weighted outputs and gaps between two runs; 0 where nothing was measured or ran."""
@@ -341,9 +360,9 @@ class Fit:
         step = np.zeros(g)
         if g:
             scales = self.runs.numbers.scales
-            prior = np.zeros((q, g))
-            prior[:, g - q :] = np.diag(scales / self.priors[:, 1])
-            J = np.vstack([chain.columns, prior, np.sqrt(damping) * np.diag(np.linalg.norm(chain.columns, axis=0))])
+            J = np.vstack(
+                [chain.columns, self.known, np.sqrt(damping) * np.diag(np.linalg.norm(chain.columns, axis=0))]
+            )
             r = np.concatenate([chain.left, self._prior(point), np.zeros(g)])
             low, high = np.full(g, -np.inf), np.full(g, np.inf)
             low[g - q :], high[g - q :] = ((limit - point.values) / scales for limit in self.limits.T)
@@ -355,6 +374,9 @@ class Fit:
             if (found < limits[0]).any() or (found > limits[1]).any():
                 found = scipy.optimize.lsq_linear(A, r, limits, method="bvls").x
             step[seen] = found / sizes[seen]
+            # Times are whole ns, of starts with the mean of the delays: ties would show a rest.
+            whole = len(self.free) / NS
+            step[: g - q] = whole * np.round(step[: g - q] / whole)
         changes = chain.starts(step)
         ahead = [changes[s + 1] if part.tie else None for s, part in enumerate(parts)]
         expected = sum(_square(part, change, step, after) for part, change, after in zip(parts, changes, ahead))
@@ -362,7 +384,7 @@ class Fit:
         small = CLOSE * np.sqrt(chain.left @ chain.left / count)
         is_small = all(np.linalg.norm(part.own @ change) < small for part, change in zip(parts, changes))
         is_small = is_small and bool((np.abs(step) * np.linalg.norm(chain.columns, axis=0) < small).all())
-        at_end = self._prior(replace(point, values=point.values + step[g - q :] * self.runs.numbers.scales))
+        at_end = self._prior(point) - self.known @ step
         total = sum(map(_square, parts)) + float(np.sum(self._prior(point) ** 2))
         share = 1.0 - (expected + float(np.sum(at_end**2))) / total if total else 0.0
         return changes, step, share, is_small
@@ -401,6 +423,11 @@ class Change:
             return 1.0 / LAG, self._runs.beside_times(self._point, k)
         way, found = self._runs.beside_number(self._point, k)
         return way / CHANGE, found
+
+
+def _are_of(columns, rest):
+    """Whether columns [Part], or None, have the measurements of residuals [(N_s,)]: delays move some to others."""
+    return columns is not None and [len(r) for r in rest] == [len(part.rest) for part in columns]
 
 
 def _at(columns, rest, outputs, slack):

@@ -80,19 +80,16 @@ class Forced:
 
     @staticmethod
     def _late(segments, k, lag):
-        """[(m,)] what an input has more than its value behind a critically damped lag of a time in s."""
-        found, off, rate, last, before = [], 0.0, 0.0, segments[0].start, None
+        """[(m,)] what an input has more in the mean of parts than behind a critically damped lag of a time in s."""
+        found, off, rate, before = [], 0.0, 0.0, None
         for segment in segments:
             rows = []
-            for u, time in zip(
-                segment.inputs[:, k].tolist(), (0.5 * (segment.times[1:] + segment.times[:-1])).tolist()
-            ):
+            for u, t in zip(segment.inputs[:, k].tolist(), np.diff(segment.times).tolist()):
                 off += 0.0 if before is None else before - u
-                t = max(time - last, 0.0)
-                slope, decay = rate + off / lag, np.exp(-t / lag)
-                off, rate = (off + slope * t) * decay, (slope - (off + slope * t) / lag) * decay
-                last, before = time, u
-                rows.append(off)
+                slope, decay, before = rate + off / lag, np.exp(-t / lag), u
+                end = (off + slope * t) * decay
+                rows.append(lag * (off + slope * lag - end - slope * lag * decay) / t)
+                off, rate = end, slope * decay - end / lag
             found.append(np.array(rows))
         return found
 

@@ -109,14 +109,24 @@ def horizons(fit, near, solution):
     known = near.chain.covariances(shared)
     changes = [a - b for a, b in zip(near.chain.starts(step), near.chain.starts(0.0 * step))]
     moved = fit.moved(near.point, changes, step)
-    owners, outputs = _starts(fit, near, moved, known)
-    if not owners:
+    finer = replace(moved, halves=moved.halves + 1)
+
+    def run(k):
+        try:
+            return [fit.runs.base(_long(fit, each, [k]))[0] for each in (moved, finer)]
+        except SimulationError:
+            return None
+
+    starts = _starts(fit, near, moved, known)
+    found = [(k, *pair) for k, pair in zip(starts, fit.tasks(run, starts)) if pair is not None]
+    if not found:
         return []
-    point = _long(fit, moved, owners)
+    owners, outputs, finer = zip(*found)
+    point = _long(fit, moved, list(owners))
     kinds = [each.units for each in runs.machine(point.values).outputs]
     residuals = fit.residuals(point, outputs)
     explained = _explained(fit, near, outputs, [(k, known[k]) for k in owners])
-    numerical, found = fit.numerics(point, outputs), []
+    numerical, found = fit.errors(outputs, finer), []
     for t, each in enumerate(runs.log.measured):
         times = [s.times[s.places[t]] - s.start for s in runs.segments(point)]
         last = max((at[-1] for at in times if len(at)), default=0.0)
@@ -167,20 +177,16 @@ def _rounded(size):
 
 
 def _starts(fit, near, point, known):
-    """Numbers of segments from whose starts, in Unknowns, runs go on to the ends of their recordings, and outputs."""
-    bounds, found, outputs = point.bounds, [], []
+    """Numbers of segments from whose starts, in Unknowns, runs go on to the ends of their recordings."""
+    bounds, found = point.bounds, []
     shown = np.array([(np.diag(P)[: part.own.shape[1]] <= SHOWN).sum() for part, P in zip(near.linear, known)])
     for first, last in fit.runs.log.spans:
         own = np.flatnonzero((bounds[:, 0] >= first - 1e-6) & (bounds[:, 0] < last))
         own = own[shown[own] == shown[own].max(initial=0)]  # of the others no measurement shows all
         share = max(1, STARTS // len(fit.runs.log.spans))
-        for k in own[np.unique(np.linspace(0, len(own) - 1, min(share, len(own))).astype(int))] if len(own) else ():
-            try:
-                outputs += fit.runs.base(_long(fit, point, [k]))
-            except SimulationError:
-                continue
-            found.append(k)
-    return found, outputs
+        if len(own):
+            found += own[np.unique(np.linspace(0, len(own) - 1, min(share, len(own))).astype(int))].tolist()
+    return found
 
 
 def _long(fit, point, numbers):

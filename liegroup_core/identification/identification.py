@@ -5,12 +5,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .comparison import Comparison, fitted, fixed, judged, tied
+from .comparison import Comparison, covariance_of, fitted, judged, tied
 from .contradictions import channel_fits
 from .fit import Fit
-from .fit import covariance as covariance_of
 from .log import ENOUGH
-from .starts import first_states
+from .starts import alone, first_states
 
 ROUNDS = 3  # of fits, with the noise of the residuals of the one before
 UNKNOWN = 1.0  # standard deviation of a combination, relative to the numbers: above it nothing is known
@@ -42,6 +41,11 @@ class Identification:
     scene: object
 
     @property
+    def is_robust(self):
+        """Whether deviations are those of correlated residuals, as residuals are not white."""
+        return not self.comparison.is_white
+
+    @property
     def intervals(self):
         """(q, 2) of 95 %."""
         half = self.comparison.half_width * self.deviations
@@ -66,7 +70,6 @@ def identify(scene, log, names, limits=None, priors=None, held_out=0.0, workers=
             break
         weighted = Fit(fit.runs, noise, fit.free, fit.limits, fit.priors, workers)
     d, numbers = int(fit.free.sum()), fit.runs.numbers
-    q = len(numbers)
     # Weights are those of the residuals. A model is judged by the noise that a smooth motion leaves, if enough values
     # show that.
     for t, each in enumerate(fit.runs.log.measured):
@@ -75,13 +78,8 @@ def identify(scene, log, names, limits=None, priors=None, held_out=0.0, workers=
     comparison = judged(
         fit, near, fit.solution(solution.point, solution.outputs, fit.linear_of(solution), solution.slack)
     )
-    prior = np.hstack([np.zeros((q, d)), np.diag(numbers.scales / fit.priors[:, 1])])
-    columns = np.vstack([solution.chain.columns, prior])
-    covariance = covariance_of(columns) * max(1.0, solution.reduced)
-    if not comparison.is_white:
-        finite = np.where(np.isfinite(covariance), covariance_of(columns), 0.0)
-        covariance = np.where(np.isfinite(covariance), finite @ _spread(weighted, solution) @ finite, covariance)
-    covariance = covariance[d:, d:]
+    columns = np.vstack([solution.chain.columns, fit.known])
+    covariance = covariance_of(weighted, solution, columns, comparison.is_white)[d:, d:]
     deviations = np.sqrt(np.diag(covariance)) * numbers.scales
     with np.errstate(invalid="ignore"):
         size = np.sqrt(np.diag(covariance))
@@ -98,32 +96,6 @@ def identify(scene, log, names, limits=None, priors=None, held_out=0.0, workers=
         validation,
         numbers.scene_at(solution.point.values),
     )
-
-
-def _spread(fit, solution):
-    """(g, g) covariance of the slopes of the sum of squares, of correlated residuals (Newey and West 1987).
-
-    Slopes of the measurements of one time are one; the width is that of Andrews (1991), of a process of order one.
-    """
-    still, g, found = solution.chain.starts(np.zeros(len(solution.covariance))), len(solution.covariance), []
-    moved = [solution.chain.starts(row) for row in np.eye(g)]
-    times = [s.places for s in fit.runs.segments(solution.point)]
-    for k, part in enumerate(solution.parts):
-        change = np.array([each[k] - still[k] for each in moved]).T
-        slopes = (part.own @ change.reshape(len(still[k]), g) + part.shared) * part.rest[:, None]
-        owner = np.concatenate([np.repeat(at, rest.shape[1]) for at, rest in zip(times[k], solution.residuals[k])])
-        rows = np.zeros((owner.max(initial=-1) + 1, g))
-        np.add.at(rows, owner, slopes)
-        found.append(rows[np.unique(owner)])
-    rows = np.vstack(found)
-    rho = np.einsum("ij,ij->j", rows[1:], rows[:-1]) / np.maximum(np.einsum("ij,ij->j", rows, rows), 1e-300)
-    rho = min(max(rho.max(initial=0.0), 0.0), 0.97)
-    width = 1.1447 * (4.0 * rho**2 / (1.0 - rho**2) ** 2 * len(rows)) ** (1.0 / 3.0)
-    total = rows.T @ rows
-    for lag in range(1, min(int(width) + 1, len(rows))):
-        C = rows[lag:].T @ rows[:-lag]
-        total += (1.0 - lag / (width + 1.0)) * (C + C.T)
-    return total
 
 
 def _noise(fit, solution, given):
@@ -158,7 +130,7 @@ def _validated(fit, bounds, point):
     """Rms of the weighted residuals of the segments left out, with the numbers of the scene and with those found."""
     found = []
     for values in (fit.runs.numbers.values, point.values):
-        other = fixed(fit, values)
+        other = alone(fit.runs, values, fit.deviation, fit.workers)
         states = first_states(other.runs, bounds, point.delays)
         start = replace(point, bounds=bounds, states=states, values=other.runs.numbers.values)
         solution = tied(other, other.solve(start))

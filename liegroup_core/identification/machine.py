@@ -60,7 +60,6 @@ class Segment:
     inputs  : (m, k) values of the inputs of the log in each part
     rows    : for each Measured of the log (r,) its rows in this segment
     places  : for each Measured (r,) which of the times these are
-    instants : Instants of the times
     end      : which of the times is the start of the next segment, to which the run goes on; -1: none
     """
 
@@ -69,7 +68,6 @@ class Segment:
     inputs: np.ndarray
     rows: tuple
     places: tuple
-    instants: tuple
     end: int = -1
 
     @property
@@ -99,10 +97,10 @@ def segments_of(machine, bounds, delays):
     return found
 
 
-def up_to(machine, segment, end):
-    """Segment that goes on to a time in s, after its last measurement."""
-    own = [segment.times[places] for places in segment.places]
-    return _segment(machine, segment.start, segment.rows, own, machine.changes(end), [end])
+def up_to(machine, start, end):
+    """Segment without measurements between times in s."""
+    start, end = (round(time * NS) / NS for time in (start, end))
+    return _segment(machine, start, (), [], machine.changes(end), [end])
 
 
 def _segment(machine, first, rows, own, changes, more=()):
@@ -118,9 +116,8 @@ def _segment(machine, first, rows, own, changes, more=()):
     inputs = np.array([each.over(times) for each in machine.log.inputs])
     inputs = inputs.reshape(len(machine.log.inputs), len(times) - 1).T
     places = tuple(np.searchsorted(times, each - 0.5e-9) for each in own)
-    instants = tuple(map(machine.engine.instant_of, (stamps + round(SHIFT * NS)).tolist()))
     end = int(np.searchsorted(times, more[0] - 0.5e-9)) if len(more) else -1
-    return Segment(first, times, inputs, rows, places, instants, end)
+    return Segment(first, times, inputs, rows, places, end)
 
 
 def moved(machine, segment, start, lag):
@@ -246,6 +243,10 @@ class Machine:
         self._go(state)
         return self.engine.sample()
 
+    def instant(self, time):
+        """Instant of the engine at a time of the log in s."""
+        return self.engine.instant_of(round((time + SHIFT) * NS))
+
     def _go(self, state):
         engine = self.engine
         instant = engine.instant_inside(round((state.time + SHIFT) * NS), 0)
@@ -311,7 +312,7 @@ class Machine:
         path.poses, path.twists = np.empty((k, n, 12)), np.empty((k, n, 6))
         path.modes, path.angles = np.empty((k, len(self.layout.switches), 5)), np.empty((k, len(work.angle)))
         status = self._along(segment, counts, places, path)
-        engine.steps = segment.instants[-1].step
+        engine.steps = self.instant(segment.times[-1]).step
         engine.inputs.clear(engine.base)
         if status == OK and not np.isfinite(path.poses).all():
             status = NOT_FINITE
@@ -351,7 +352,8 @@ class Machine:
                 self._keep(segment, k, places[k], path)
                 size = float((times[k + 1] - times[k]) / counts[k])
                 state[2][:], work.targets[:], work.motions[:] = path.wrenches[k], path.targets[k], late[k]
-                _, status = engine._integrate(segment.instants[k], size, int(counts[k]), segment.instants[k + 1])
+                begin, end = self.instant(times[k]), self.instant(times[k + 1])
+                _, status = engine._integrate(begin, size, int(counts[k]), end)
                 k += 1
             if status != OK:
                 return status
@@ -412,7 +414,7 @@ class Path:
     def sample(self, k):
         """Sample of state k, with the inputs of the part that ends there."""
         machine, place = self._machine, self._seen[k]
-        engine, instant, part = machine.engine, self._segment.instants[place], max(place - 1, 0)
+        engine, instant, part = machine.engine, machine.instant(self._segment.times[place]), max(place - 1, 0)
         found = Sample(
             machine.layout,
             instant.time,

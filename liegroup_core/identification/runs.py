@@ -106,9 +106,11 @@ class Runs:
     def segments(self, point):
         """[Segment] of Unknowns."""
         key = point.bounds.tobytes(), point.delays.tobytes()
-        if self._segments[0] != key:
-            self._segments = key, segments_of(self.machine(point.values), point.bounds, point.delays)
-        return self._segments[1]
+        known, found = self._segments  # of another thread, perhaps
+        if known != key:
+            found = segments_of(self.machine(point.values), point.bounds, point.delays)
+            self._segments = key, found
+        return found
 
     def base(self, point):
         """[[(r, p)]] outputs of each segment and Measured, and gaps (z,) to the next start. Raises SimulationError."""
@@ -147,7 +149,8 @@ class Runs:
 
     def starts(self, point):
         """[(scales (c,), MachineState, ways, [MachineState] CHANGE of its scale away on each way)] of segments."""
-        if self._starts[0] is not point:
+        known, found = self._starts
+        if known is not point:
             machine, found = self.machine(point.values), []
             for segment, state in zip(self.segments(point), point.states):
                 state = machine.timed(state, segment.start)
@@ -156,7 +159,7 @@ class Runs:
                 changes = CHANGE * np.diag(scales)
                 found.append((scales, state, ways, [machine.beside(state, ways, change) for change in changes]))
             self._starts = point, found
-        return self._starts[1]
+        return found
 
     def beside_start(self, point, k):
         """As `base`, with coordinate or rate k of each start changed by CHANGE times its scale; None: it has fewer.

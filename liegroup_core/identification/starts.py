@@ -1,34 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Starts of segments: guesses, from polynomials through the nearest measurements, and what a fit knows of them."""
+"""Starts of segments: guesses, by fits to the next measurements, and what a fit knows of them."""
 
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from liegroup_core.errors import LieGroupSimError, SceneError
+from liegroup_core.errors import LieGroupSimError, SceneError, SimulationError
 from liegroup_core.linear.channels import OutputChannels
-from liegroup_core.linear.coordinates import Coordinates, scales_of
-from liegroup_core.observables.quantities import PLACES, POSITION, RATES, ROTATION, TWIST
+from liegroup_core.linear.coordinates import Coordinates
+from liegroup_core.observables.quantities import POSITION, ROTATION, TWIST
 
 from .chain import SHOWN
-from .fit import HIDDEN
-from .machine import Apart, directions, floating, segments_of, up_to
+from .fit import HIDDEN, Fit
+from .machine import Apart, floating, up_to
 from .runs import CHANGE as STEP
+from .runs import Runs, Unknowns
 
 PARTS = ("position", "velocity")
-NEIGHBOURS = {1: 9, 2: 5}  # measurements to which a polynomial is fitted: positions alone, and with velocities
-DEGREE = 3
-CHANGE = 1e-7  # of starts, by their scales: first guesses need few digits
-MOST_STEPS, MOST_HALVES = 30, 6  # of Gauss and Newton, and of each step
-SMALL, NO_WAY = 1e-6, 1e-6  # last step, by the scales; relative singular value of what nothing shows
+LEAST = 9  # measurements in a segment: those to which a start is fitted
+ROUGHLY = 1e-3  # relative decrease of the sum of squares in the last step: effects are judged by larger ones
 
 
 def first_states(runs, bounds, delays=None, values=None):
     """[MachineState] at the start of each segment between bounds (s, 2) in s.
 
-    Independent joints that were measured are put to where polynomials through the nearest measurements are, then all
-    of the mechanism in least squares if bodies or sensors were measured. What was not measured is where the run of the
-    segment before ends, or at the start of the scene.
+    Independent joints that were measured are put to where they were, then a run is fitted to the next measurements.
+    What was not measured is where the run of the segment before ends, or at the start of the scene.
 
     values : (q,) numbers of the scene; None: its own
     Raises SceneError if the mechanism cannot be put there.
@@ -36,43 +34,55 @@ def first_states(runs, bounds, delays=None, values=None):
     log = runs.log
     machine = runs.machine(runs.numbers.values if values is None else values)
     delays = np.zeros(len(log.measured)) if delays is None else delays
-    state, states, seen = machine.start, [], _seen(machine, log)
-    for k, (pair, segment) in enumerate(zip(bounds, segments_of(machine, bounds, delays))):
-        start, end = segment.start, pair[1] - np.mean(delays)
-        for guess in (_measured, _put, _as_before):
-            states[k:] = [guess(machine, log, seen, state, start, delays)]
-            found = state_at(machine, segment, states[k], end)
-            if found is not None:
-                break
-        state = states[k] if found is None else found
+    state, states, length = machine.start, [], shortest(log)
+    still = alone(runs, runs.numbers.values if values is None else values)
+    parts = (1.0 / LEAST, 1.0) if has_others(log) else (1.0,)  # one measurement shows places, more show rates
+    for begin, end in bounds:
+        start, before = begin - np.mean(delays), state
+        state = _put(machine, log, before, start, delays)
+        for part in parts:
+            point = Unknowns(np.array([[begin, begin + part * length]]), delays, np.zeros(0), (state,))
+            with suppress(SimulationError):
+                (state,) = still.solve(point, ROUGHLY).point.states
+        after = state_at(machine, start, state, end)
+        if after is None:
+            state = machine.timed(before, start)
+            after = state_at(machine, start, state, end)
+        states.append(state)
+        state = state if after is None else after
     return tuple(states)
 
 
-def state_at(machine, segment, state, end, halves=0):
-    """State to which a Segment leads at a time in s after its measurements; None if the run fails."""
+def alone(runs, values, deviation=None, workers=1):
+    """Fit of the starts alone, with numbers (q,); deviation: None: of the measurements."""
+    numbers, log = runs.numbers, runs.log
+    scaled = [replace(each, values=each.values * size) for each, size in zip(log.inputs, numbers.factors(values))]
+    still = Runs(numbers.scene_at(values), replace(log, inputs=tuple(scaled)), (), runs.longest)
+    deviation = [each.noise for each in log.measured] if deviation is None else deviation
+    return Fit(still, deviation, np.zeros(len(log.measured), dtype=bool), workers=workers)
+
+
+def shortest(log):
+    """Length in s of the shortest segments: of LEAST measurements."""
+    fullest = max(log.measured, key=lambda each: len(each.times))
+    return LEAST * (float(np.median(np.diff(fullest.times))) if len(fullest.times) > 1 else 1.0)
+
+
+def state_at(machine, start, state, end, halves=0):
+    """State at a time in s to which a run from a state at `start` leads; None if it fails."""
     try:
-        machine.run(up_to(machine, segment, end), state, halves=halves)
+        machine.path(up_to(machine, start, end), state, np.zeros(0, dtype=int), halves=halves)
     except LieGroupSimError:
         return None
     return machine.present()
 
 
-def _measured(machine, log, seen, state, time, delays):
-    """State in which all that was measured is where it was at a time."""
-    return _nearest(machine, seen, _put(machine, log, seen, state, time, delays), time, delays)
-
-
-def _as_before(machine, log, seen, state, time, delays):
-    """State where the run before ends."""
-    return machine.timed(state, time)
-
-
-def _put(machine, log, _, state, time, delays):
+def _put(machine, log, state, time, delays):
     """State in which measured independent joints are where they were at a time."""
     found, state = {}, machine.timed(state, time)
     for each, delay in zip(log.measured, delays):
         for joint in dict.fromkeys(name.rpartition(".")[0] for name in each.channels if name.endswith(".position")):
-            found.setdefault(joint, _guess(each, joint, time + delay))
+            found.setdefault(joint, _nearest(each, joint, time + delay))
     machine.at(state)
     try:
         coordinates = Coordinates(machine.probe, preferred=[name for name in found if name in _names(machine)])
@@ -88,169 +98,20 @@ def _names(machine):
     return [freedom.name for freedom in machine.layout.freedoms]
 
 
-def _guess(measured, joint, time):
-    """(position, velocity) of a joint at a time, or None: of the polynomial through the nearest measurements."""
-    channels, noise = list(measured.channels), measured.noise
-    rows = {part: channels.index(f"{joint}.{part}") for part in PARTS if f"{joint}.{part}" in channels}
-    q = measured.values[:, rows["position"]]
-    known = np.flatnonzero(np.isfinite(q))
-    near = known[np.argsort(np.abs(measured.times[known] - time), kind="stable")[: NEIGHBOURS[len(rows)]]]
-    near.sort()
-    if not len(near):
-        return None
-    x, degree = measured.times[near] - _within(measured.times[near], time), min(DEGREE, len(near) - 1)
-    powers, sigma = np.vander(x, degree + 1, increasing=True), noise[rows["position"]]
-    left, right = [powers / sigma], [np.unwrap(q[near]) / sigma]
-    if "velocity" in rows:
-        v, sigma = measured.values[near, rows["velocity"]], noise[rows["velocity"]]
-        slopes, usable = np.arange(degree + 1) * np.roll(powers, 1, axis=1), np.isfinite(v)
-        left.append(slopes[usable] / sigma)
-        right.append(v[usable] / sigma)
-    fitted = np.linalg.lstsq(np.vstack(left), np.concatenate(right), rcond=None)[0]
-    return float(fitted[0]), float(fitted[1]) if degree else 0.0
-
-
-def _within(times, time):
-    """Time for a polynomial through measurements at times (k,): not farther beyond them than their usual distance."""
-    usual = (times.max() - times.min()) / max(len(times) - 1, 1)
-    return float(np.clip(time, times.min() - usual, times.max() + usual))
-
-
-class _Seen:
-    """Outputs of a Measured that positions determine, or positions and rates.
-
-    number   : of the Measured
-    is_rate  : whether they change with rates
-    slope, slope_sigma : (p,) slope of the polynomial at its time, and standard deviations
-    """
-
-    def __init__(self, machine, number, measured, columns, is_rate):
-        self.number, self.is_rate, self._measured, self._columns = number, is_rate, measured, columns
-        self._outputs = OutputChannels(machine.probe, [measured.channels[k] for k in columns], machine.turns)
-        self._apart = Apart(self._outputs)
-
-    def aim(self, time):
-        """Take the polynomial at a time of the clock; returns whether enough was measured."""
-        values, times = self._measured.values[:, self._columns], self._measured.times
-        known = np.flatnonzero(np.isfinite(values).all(axis=1))
-        near = known[np.argsort(np.abs(times[known] - time), kind="stable")[: NEIGHBOURS[1]]]
-        if not len(near):
-            return False
-        x, self._base = times[near] - _within(times[near], time), values[near[:1]]
-        powers = np.vander(x, min(DEGREE, len(near) - 1) + 1, increasing=True)
-        inverse = np.linalg.pinv(powers)
-        found = inverse @ self._apart(values[near], np.repeat(self._base, len(near), axis=0))
-        noise = self._measured.noise[self._columns]
-        sizes = np.linalg.norm(inverse, axis=1)
-        self._value, self._sigma = found[0], sizes[0] * noise
-        self.slope, self.slope_sigma = (found[1], sizes[1] * noise) if len(found) > 1 else (0.0, np.inf)
-        return True
-
-    def at(self, sample):
-        """(p,) outputs, relative to the measurement that is nearest."""
-        return self._apart(self._outputs.of(sample)[None], self._base)[0]
-
-    def off(self, found):
-        """(p,) weighted differences of outputs from the polynomial."""
-        return (found - self._value) / self._sigma
-
-    def weighted(self, changes):
-        """(d, p) changes of outputs by the deviation of the polynomial."""
-        return changes / self._sigma
+def _nearest(measured, joint, time):
+    """(position, velocity) of a joint that were measured nearest to a time, 0: no velocity; None: no position."""
+    found = []
+    for name in (f"{joint}.{part}" for part in PARTS):
+        if name in measured.channels:
+            values = measured.values[:, measured.channels.index(name)]
+            known = np.flatnonzero(np.isfinite(values))
+            found += values[known[np.abs(measured.times[known] - time).argsort()[:1]]].tolist()
+    return (*found, 0.0)[:2] if found else None
 
 
 def has_others(log):
     """Whether a Log has outputs that are neither positions nor velocities of joints."""
     return any(name.rpartition(".")[2] not in PARTS for each in log.measured for name in each.channels)
-
-
-def _seen(machine, log):
-    """[_Seen] of a Log; none where only joints were measured, which can be put to where they were."""
-    catalogue, kinds_of = machine.layout.catalogue, {PLACES: False, RATES: True}
-    found, joints, kinds = [], set(), {}
-    for t, each in enumerate(log.measured):
-        own = [kinds_of.get(depends) for depends in catalogue.columns(each.channels).depends]
-        kinds |= dict(zip(each.channels, own))
-        joints |= {name for name in each.channels if name.endswith(".position")}
-        for is_rate in (False, True):
-            columns = [k for k, kind in enumerate(own) if kind is is_rate]
-            if columns:
-                found.append(_Seen(machine, t, each, columns, is_rate))
-    known = joints | {name.removesuffix("position") + "velocity" for name in joints}
-    return found if any(kind is not None and name not in known for name, kind in kinds.items()) else []
-
-
-def _nearest(machine, seen, state, time, delays):
-    """State near another one in which [_Seen] outputs are near their polynomials at a time, in least squares."""
-    seen = [each for each in seen if each.aim(time + delays[each.number])]
-    places, rates = ([each for each in seen if each.is_rate == is_rate] for is_rate in (False, True))
-    return _with_rates(machine, places, rates, _with_places(machine, places, state) if places else state)
-
-
-def _with_places(machine, places, state):
-    """State with the positions that fit best, by the method of Gauss and Newton."""
-    off = np.concatenate([each.off(x) for each, x in zip(places, _at(machine, places, state))])
-    for _ in range(MOST_STEPS):
-        machine.at(state)
-        scales, ways = directions(machine.probe)
-        ways = (scales[:, None, None] * ways)[ways[:, :, 0].any(axis=1)]
-        step = -_solved(
-            np.hstack([each.weighted(D) for each, D in zip(places, _changes(machine, places, state, ways))]), off
-        )
-        for _ in range(MOST_HALVES):
-            other = machine.beside(state, ways, step)
-            found = np.concatenate([each.off(x) for each, x in zip(places, _at(machine, places, other))])
-            if found @ found < off @ off:
-                break
-            step *= 0.5
-        else:
-            break
-        state, off = other, found
-        if np.abs(step).max(initial=0.0) < SMALL:
-            break
-    return state
-
-
-def _with_rates(machine, places, rates, state):
-    """State with the rates that fit best: of rates that were measured, and slopes of places."""
-    machine.at(state)
-    scales, ways = directions(machine.probe)
-    ways = (scales[:, None, None] * ways)[~ways[:, :, 0].any(axis=1)]
-    present = machine.probe.closed()[0]
-    along = np.zeros((len(ways) + 1, *ways.shape[1:]))  # displacements along the rates, and the present ones
-    along[:-1, :, 0], along[-1, :, 0] = ways[:, :, 1], present
-    rows, off = [np.zeros((len(ways), 0))], [np.zeros(0)]
-    for each, D, x in zip(rates, _changes(machine, rates, state, ways), _at(machine, rates, state)):
-        rows.append(each.weighted(D))
-        off.append(each.off(x))
-    size = max(1.0, float(np.abs(present / scales_of(machine.layout)).max(initial=0.0)))
-    along[-1] /= size
-    for each, D in zip(places, _changes(machine, places, state, along)):
-        rows.append(D[:-1] / each.slope_sigma)
-        off.append((size * D[-1] - each.slope) / each.slope_sigma)
-    return machine.beside(state, ways, -_solved(np.hstack(rows), np.concatenate(off)))
-
-
-def _at(machine, of, state):
-    """[(p,)] outputs of [_Seen] at a MachineState."""
-    sample = machine.seen(state)
-    return [each.at(sample) for each in of]
-
-
-def _changes(machine, of, state, ways):
-    """[(d, p)] derivatives of outputs of [_Seen] along ways (d, f, 2) from a MachineState, where the Probe is."""
-    if not of:
-        return []
-    there = [_at(machine, of, machine.beside(state, ways, CHANGE * row)) for row in np.eye(len(ways))]
-    return [
-        (np.array(values).reshape(len(ways), -1) - x) / CHANGE
-        for values, x in zip(zip(*there), _at(machine, of, state))
-    ]
-
-
-def _solved(rows, right):
-    """(d,) least squares of rows (d, N), least where nothing shows."""
-    return np.linalg.lstsq(rows.T, right, rcond=NO_WAY)[0]
 
 
 @dataclass(frozen=True, eq=False)

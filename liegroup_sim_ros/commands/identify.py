@@ -198,6 +198,7 @@ def _figures(found):
                 found.paths, found.before, found.values, finite, found.intervals
             )
         ],
+        "robust": found.is_robust,
         "correlation": np.where(np.isfinite(found.correlation), found.correlation, 0.0).tolist(),
         "unknown": found.unknown,
         "held_out": None if found.held_out is None else list(found.held_out),

@@ -125,8 +125,10 @@ EFFECTS = {
 
 
 def number_remarks(result):
-    """Sentences on what the log does not show, and on segments that were left out."""
+    """Sentences on robust intervals, on what the log does not show, and on segments that were left out."""
     found = []
+    if result["robust"]:
+        found.append("residuals are not white: the intervals are robust, of correlated residuals (Newey and West)")
     for one in result["unknown"]:
         parts = " ".join(f"{weight:+.2g} {path}" for path, weight in one.items())
         found.append(f"the bag does not show this combination of relative changes: {parts}")

@@ -26,11 +26,14 @@ def test_the_page_names_the_friction_and_finds_it(tmp_path, monkeypatch, capsys)
     Path("machine.yaml").write_text(Path("model.yaml").read_text().replace(old, new))
     assert [command[1] for command in commands] == ["run", "compare", "identify"]
     for command in commands:
-        assert main([*command[1:], *(["--json", f"{command[1]}.json"] if command[1] != "run" else [])]) == 0
-    capsys.readouterr()
+        more = {"run": [], "compare": [], "identify": ["--html", "identify.html"]}[command[1]]
+        assert main([*command[1:], *more, *(["--json", f"{command[1]}.json"] if command[1] != "run" else [])]) == 0
+    text = " ".join(capsys.readouterr().out.split())
     compared, identified = (json.loads(Path(f"{name}.json").read_text()) for name in ("compare", "identify"))
     assert not compared["agrees"] and compared["effects"][0]["text"] == "viscous friction of hinge"
     assert "Viscous friction of hinge" in Path("compare.html").read_text()
+    # What rounding leaves is not white.
+    assert identified["robust"] and all("intervals are robust" in t for t in (text, Path("identify.html").read_text()))
     (number,) = identified["numbers"]
     value, half = map(float, re.search(r"finds ([\d.]+) ± ([\d.]+\d)", PAGE).groups())
     low, high = number["interval"]

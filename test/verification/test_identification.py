@@ -128,6 +128,31 @@ def test_the_factor_of_an_input_is_found():
     assert found.comparison.agrees and abs(found.values[0] - 0.9) < 4.0 * found.deviations[0] < 0.01
 
 
+SCALES = [
+    ("swing", ("hinge.position",), 1000.0, "it seems to have the unit mrad"),
+    ("furuta", ("motor.position", "motor.velocity"), -1.0, "they seem to have the opposite sign"),
+    ("furuta", ("hinge.velocity",), 180.0 / np.pi, "it seems to have the unit degree/s"),
+]
+
+
+@pytest.mark.parametrize(("name", "outputs", "factor", "text"), SCALES)
+@pytest.mark.turn(3)
+def test_another_unit_of_an_output_is_named(name, outputs, factor, text):
+    """Also where angles, modulo whole turns, are as random as directions: with any motion they would agree."""
+    log = timed(log_of(machine(name), name, 2, seconds=3.0 if name == "swing" else 1.2, rate=125.0))
+    (measured,) = log.measured
+    kept = [k for k, channel in enumerate(measured.channels) if name != "swing" or channel in outputs]
+    sizes = np.array([factor if measured.channels[k] in outputs else 1.0 for k in kept])
+    names = tuple(measured.channels[k] for k in kept)
+    other = replace(
+        measured, channels=names, values=sizes * measured.values[:, kept], deviation=np.full(len(kept), np.nan)
+    )
+    found = compare(machine(name), Log(log.inputs, (other,)), workers=1)
+    (effect,) = found.effects
+    assert not found.agrees and effect.text == f"scale of {', '.join(outputs)} in /joint_states ({text})"
+    assert text in found.verdict and abs(effect.value - factor) < 4.0 * effect.deviation < 0.1 * abs(factor)
+
+
 def test_a_result_does_not_depend_on_the_number_of_workers():
     """Columns beside one point have equal bytes, from one thread and from two."""
     log = timed(log_of(machine("furuta"), "furuta", 5, seconds=0.5))
