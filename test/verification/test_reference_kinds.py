@@ -130,6 +130,11 @@ law:
          point: [1, 0.2, 3]}
       - {body: h, force: [lag*k, acos(0.4*j), -n], torque: ["min(m, 90)", "2**(l/9)", "tan(i/3) + atan(x)"],
          point: [0.1, 0, -1], axes: world}
+contact:
+  - {name: s, body: a, other: h, shape: {type: sphere, radius: 4, position: [0.1, 0.2, 0.3]}, stiffness: 3,
+     other_shape: {type: capsule, radius: 5, length: 0.5}, damping: 0.02, friction: 0.4, slip: 9, settles: 0.1}
+  - {name: t, body: g, shape: {type: box, size: [0.3, 0.2, 0.1]}, plane: {point: [0, 0, 9], normal: [1, 2, 3]},
+     stiffness: 1, damping: 0.02, friction: 0.3, slip: 9}
 applied_wrench:
   - {name: s, body: a, torque: [1, 2, 3], force: [4, 5, -6], point: [1, 0.2, 3], start: 0.0303, end: 0.0811}
   - {name: t, body: g, torque: [1, 2, 3], force: [4, 5, -6], point: [1, 0.2, 3], axes: world, end: 0.0507}
@@ -190,6 +195,19 @@ forces:
   inputs: {w: elbow.velocity, v: shoulder.velocity}
   tables: {mu: {x: [-9, -1, -0.05, 0.05, 1, 9], y: [0.6, 0.4, 0.9, -0.9, -0.4, -0.6]}}
   outputs: [{joint: elbow, effort: mu(w)}, {joint: shoulder, effort: 0.5*mu(v)}]
+""",
+    # It bounces, skids, rolls over both ends, and meets a ball that rolls.
+    "a capsule and a ball on the ground": """
+bodies:
+- {name: peg, mass: 1, inertia: [0.02, 0.02, 0.005], com: [0.01, 0, 0.02], position: [0, 0, 0.3],
+   rotation_vector: [0.9, 0.4, 0], linear_velocity: [0.5, 0, 0], angular_velocity: [1, 3, 2]}
+- {name: ball, shape: {type: sphere, radius: 0.1, mass: 1}, position: [0.45, 0.05, 0.1], linear_velocity: [-0.2, 0, 0]}
+forces:
+- {name: floor, type: contact, body: peg, shape: &peg {type: capsule, radius: 0.05, length: 0.2}, stiffness: 2e3,
+   restitution: 0.5, friction: 0.4, slip: 2e-3}
+- {name: ground, type: contact, body: ball, stiffness: 2e3, restitution: 0.5, friction: 0.4, slip: 2e-3}
+- {name: hit, type: contact, body: peg, shape: *peg, other: ball, stiffness: 2e3, restitution: 0.5, friction: 0.4,
+   slip: 2e-3}
 """,
 }
 
