@@ -29,7 +29,9 @@ from .vectors import (
     turning,
 )
 
-ANGLE, RATE, SLIDE, SLIDE_RATE, PLACE, PLACE_RATE, WORLD_SPIN, ATTITUDE, SPIN, SPEED, APART, APART_RATE = range(12)  # inputs
+ANGLE, RATE, SLIDE, SLIDE_RATE, PLACE, PLACE_RATE, WORLD_SPIN, ATTITUDE, SPIN, SPEED, APART, APART_RATE = range(
+    12
+)  # inputs
 TORQUE, FORCE, BODY, WORLD = range(4)  # outputs: effort of a joint, or wrench in the axes of the body or the world
 TURN, SHIFT = 4, 5  # target of a servo about or along the axis of a joint
 NS = 10**9  # instants are at whole ns
