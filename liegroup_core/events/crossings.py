@@ -95,7 +95,7 @@ def note_guards(model, work, row):
 
 @kernel
 def _matters(model, work, k, c, way, h):
-    """Whether the branch k beyond its end c differs from the next one by more than round-off.
+    """Whether the branch k beyond its end c differs from the next one by more than Work.least.
 
     way : guard, negative: of a continuous kink the difference grows with it
     """
@@ -107,7 +107,7 @@ def _matters(model, work, k, c, way, h):
     other, part = next_branch(laws, work.branches[k], k, c == MOST), 1.0
     if way != end and end > 0.0:
         part = min(1.0, -way / end)
-    return branch_matters(laws, work.branches, work.registers, k, other, force, h, part) != 0
+    return branch_matters(laws, work.branches, work.registers, k, other, force, h, part, work.least[0]) != 0
 
 
 @kernel

@@ -85,7 +85,6 @@ WITNESS = 1  # register of the last result that was not finite: its number from 
 LAW_TIME = 3  # register of the time in formulas
 CAUSE = 2  # the next one: number of the first signal that was not finite then, 0 for none, and the value of the result
 MOST_PERIODS = 1000  # of a delay
-ROUND_OFF = 1e-13  # of forces and states, relative to all forces and to the scale of a state
 NO_AXIS = axis.fields(False, -1, -1, np.eye(4), np.eye(4))
 
 
@@ -748,8 +747,8 @@ def _differentiate(laws, registers):
 
 
 @shared
-def branch_matters(laws, branches, registers, k, branch, force, span, part):
-    """1 if another branch of kink k changes outputs or states by more than round-off, at the inputs in registers.
+def branch_matters(laws, branches, registers, k, branch, force, span, part, least):
+    """1 if another branch of kink k changes outputs or states by more than `least`, at the inputs in registers.
 
     force : N, sum of all forces;  span : s, in which rates change states
     part : of the change that counts, for a continuous kink
@@ -768,15 +767,15 @@ def branch_matters(laws, branches, registers, k, branch, force, span, part):
     _evaluate(laws, registers)
     if laws.code[i, 0] == LESS or laws.code[i, 0] == LESS_EQUAL:
         part = 1.0
-    found, least = 0, ROUND_OFF * force
+    found = 0
     for e in range(len(laws.outputs)):
         at = laws.outputs[e]["registers"]
         for c in range(6):
-            if part * _change_to(registers[at[c], 0], registers[at[c], 1]) > least:
+            if part * _change_to(registers[at[c], 0], registers[at[c], 1]) > least * force:
                 found = 1
     for s in range(len(laws.states)):
         to = laws.states[s, 1]
-        if part * span * _change_to(registers[to, 0], registers[to, 1]) > ROUND_OFF * laws.scales[s]:
+        if part * span * _change_to(registers[to, 0], registers[to, 1]) > least * laws.scales[s]:
             found = 1
     set_branches(laws, branches, registers)
     _evaluate(laws, registers)

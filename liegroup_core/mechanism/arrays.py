@@ -277,6 +277,7 @@ class RelativeWork(Struct):
     iteration: np.ndarray = shaped(3)  # 1 if the loads are given; 1 if they did not converge; scratch
     branches: np.ndarray = shaped("branches")  # of the kinks of laws, with error control: forces/formulas.py
     changed: np.ndarray = shaped(1)  # 1 if one of them changed at the end of the substep, without an event
+    least: np.ndarray = shaped(1)  # a smaller effect of a change, relative to all forces and to states, is no event
     guards: np.ndarray = shaped("guards", 5)  # distance of each switch, then of each branch, to its next events
     course: np.ndarray = shaped(NODES, "guards", 2)  # the last two guards at some stages: see events/crossings.py
     crossed: np.ndarray = shaped("guards", 5)  # fraction of the step by which each event has occurred, or -1

@@ -18,6 +18,7 @@ import numpy as np
 
 from liegroup_core.compiling import SameTypes
 from liegroup_core.dynamics.state import model_and_work
+from liegroup_core.dynamics.switches import ROUND_OFF
 from liegroup_core.events.switching import Switching
 from liegroup_core.mechanism.arrays import FURTHER, SPAN, links_of
 from liegroup_core.methods.table import EXACT
@@ -35,6 +36,7 @@ RUNS_AHEAD = "rkmk853"  # method that runs ahead, to an accuracy
 # If no substep meets the tolerance, for example near a singular pose, a step is repeated with these multiples
 # of it. With the last one a substep is rejected only if a stage cannot be computed.
 LOOSER = (1e2, 1e4, 1e6, 1e8, 1e100)
+UNSEEN = 1e-2  # of the error that a substep may have: a law that changes its branch with less effect needs no event
 KERNELS = advance, advance_controlled, reach, inside
 TOO_TIGHT = (DEPENDENT_ROWS, SUBSTEP_TOO_SMALL, TOO_MANY_SUBSTEPS)
 
@@ -106,6 +108,7 @@ class MuntheKaas:
         looser = self._methods[self.chosen][2]
         for k, tolerance in enumerate(self._tolerances):
             self._control.part_of("rtol", "atol")[k] = part * looser * tolerance
+        self._work.least[0] = max(ROUND_OFF, UNSEEN * self._control.rtol[0])
 
     def follow_accuracy(self, length, bits):
         """Take all steps, none with tolerances below round-off. length : m, factor of tolerances of positions.
