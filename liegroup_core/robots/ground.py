@@ -123,7 +123,7 @@ def _called(visual):
 
 
 def _hulls(robot, pairs, within):
-    """{key of a mesh: (points (k, 3) of its hull, None) or (None, why it is not read)}; within: as of meshes.hull_of."""
+    """{key of a mesh: (points (k, 3) of its hull, None) or (None, why it is not read)}; within: see hull_of."""
     order, folders, found, names = [], set(), {}, {}
     for link, _, visual in pairs:
         if visual is None or visual.kind != "mesh" or _key(visual) in found:
