@@ -6,10 +6,11 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field
 
 from liegroup_core.errors import SceneError
-from liegroup_core.fields.values import Described, NotNegative, Number, Positive
+from liegroup_core.fields import values
+from liegroup_core.fields.values import Described, NotNegative, Number, Positive, Text
 
 from .access import trees
 from .apart import triangulated
@@ -32,6 +33,9 @@ def _restitution(value):
 class Ground(Described):
     """Ground that the collision shapes of a robot touch."""
 
+    links: Annotated[tuple[Text, ...], BeforeValidator(values.listed)] = Field(
+        (), description="links whose collision shapes touch it; default: all"
+    )
     height: Number = Field(0.0, description="height of the ground in m, z of the world")
     friction: NotNegative | None = Field(
         None, description=f"coefficient of friction; default: that of each shape in the file, else {FRICTION:g}"
@@ -50,11 +54,16 @@ def add_contacts(robot, options, grouping, parts, body_of, taken):
         return [f"changes the motion: no contact, {_counted(every)} without effect: bodies pass through each other"]
     if ground is None:
         return []
-    moving = [link for link in robot.links.values() if grouping.of_link[link.name] is not grouping.world]
-    pairs = [(link, collision, collision.shape()) for link in moving for collision in link.collisions]
-    if not pairs:
+    touching = [link for link in robot.links.values() if grouping.of_link[link.name] is not grouping.world]
+    touching = {link.name: link for link in touching if link.collisions}
+    for name in ground.links:
+        if name not in touching:
+            raise options.unknown(("ground", "links"), "ground: moving link with a collision shape", name, touching)
+    if not touching:
         text = "ground: no link that moves has a collision shape: give the file one, or omit the ground"
         raise options.error(("ground",), text)
+    links = [link for name, link in touching.items() if name in (ground.links or touching)]
+    pairs = [(link, collision, collision.shape()) for link in links for collision in link.collisions]
     hulls, left, inside = _hulls(robot, pairs, ground.sinks), [], []
     for link, collision, visual in pairs:
         shape, what = _shape(visual, hulls)
@@ -77,6 +86,9 @@ def add_contacts(robot, options, grouping, parts, body_of, taken):
         line = f"line {collision.line}" if collision.line else f"of the {robot.kind} file"
         parts.add("forces", entry, collision.line, line, taken)
     notes = ["changes the motion: only the ground is touched: bodies pass through each other"]
+    others = [name for name in every if name in touching and ground.links and name not in ground.links]
+    if others:
+        notes.append(f"changes the motion: {_counted(others)} do not touch the ground")
     if left:
         notes.append(f"changes the motion: collision shapes that do not touch the ground: {listed(left)}")
     if inside:

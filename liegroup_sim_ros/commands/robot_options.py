@@ -58,9 +58,9 @@ def add_robot_options(parser):
     parser.add_argument(
         "--ground",
         nargs="*",
-        metavar="KEY=VALUE",
-        help="the collision shapes touch the plane z = 0 of the world; keys: height, friction, sinks, load, "
-        "restitution (liegroup_sim keys ground)",
+        metavar="LINK | KEY=VALUE",
+        help="the collision shapes of these links (default: all) touch the plane z = 0 of the world; keys: height, "
+        "friction, sinks, load, restitution (liegroup_sim keys ground)",
     )
     for name, what in (
         ("stops", "limits are not stops"),
@@ -159,13 +159,14 @@ def _radii(entries):
 
 
 def _ground(entries):
-    """Ground of KEY=VALUE texts; None: no ground."""
+    """Ground of names of links and KEY=VALUE texts; None: no ground."""
     if entries is None:
         return None
+    links, numbers = [each for each in entries if "=" not in each], [each for each in entries if "=" in each]
     try:
-        return Ground(**_values(entries, "ground"))
+        return Ground(**({"links": links} | _values(numbers, "ground")))
     except SceneError as error:
-        raise RobotError(f"--ground: {error}") from None
+        raise RobotError(f"--ground: {str(error).removeprefix('Ground: ')}") from None
 
 
 def _start(name, text):
