@@ -98,16 +98,21 @@ def test_wrong_grounds_are_refused_in_one_line(ground, text, tmp_path):
 def test_collision_meshes_are_hulls(tmp_path):
     trimesh = pytest.importorskip("trimesh")
     trimesh.creation.box(extents=(0.2, 0.1, 0.4)).subdivide().export(tmp_path / "block.stl")
+    trimesh.creation.icosphere(radius=0.3).export(tmp_path / "ball.obj")
     mesh = '<geometry><mesh filename="{}" scale="1 2 0.5"/></geometry></collision>'
-    shapes = '<collision><origin xyz="0 0 0.5"/>' + mesh.format("block.stl") + "<collision>" + mesh.format("gone.obj")
+    shapes = '<collision><origin xyz="0 0 0.5"/>' + mesh.format("block.stl")
+    shapes += "".join("<collision>" + mesh.format(name) for name in ("gone.obj", "ball.obj"))
     inertial = '<inertial><mass value="4"/><inertia ixx=".1" iyy=".1" izz=".1" ixy="0" ixz="0" iyz="0"/></inertial>'
     text = f'<robot name="t"><link name="top">{inertial}{shapes}</link></robot>'
     scene = on_ground(written(tmp_path / "block.urdf", text))
-    (contact,) = contacts(scene)
+    contact, ball = contacts(scene)
     corners = [[x, y, z] for x in (-0.1, 0.1) for y in (-0.1, 0.1) for z in (-0.1, 0.1)]
     # The file has numbers of single precision.
     assert_allclose(sorted(np.round(contact.shape.points, 6).tolist()), corners, atol=1e-12)
     assert contact.shape.position == (0.0, 0.0, 0.5)
+    assert len(ball.shape.points) == 64
+    assert any("ball.obj of top by 64 points, up to 0." in note for note in scene.notes)
+    Simulation(scene, quiet=True)  # the largest hull fits into a law
     assert any("do not touch the ground: gone.obj (it does not exist) of top" in note for note in scene.notes)
 
 
