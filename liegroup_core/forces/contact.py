@@ -379,7 +379,7 @@ class _Formulas:
             self._states[name] = _state(f"{rate} if {pushes} else 0")
         bent = [self.let(f"{each} + settles*{rate}") for each, rate in zip(bent, rates)]
         drag = self.let(f"-friction*{force}/sqrt(max({_dot(bent, bent)}, 1))")
-        self._powers.append(_times(drag, _dot(bent, slips)))
+        self._powers.append(self.let(_times(drag, _dot(bent, slips))))  # many points: a formula has a longest length
         across = bent if tangents is None else _sum(*(_scaled(b, axis) for b, axis in zip(bent, tangents)))
         return _sum(_scaled(force, normal), _scaled(drag, across))
 

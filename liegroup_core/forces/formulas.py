@@ -142,7 +142,10 @@ class Program:
         key = operation, a, b, c
         if key not in self._known:
             if self._others + len(self.code) >= MOST_INSTRUCTIONS:
-                raise FormulaError(f"the formulas of a scene must have at most {MOST_INSTRUCTIONS} operations")
+                raise FormulaError(
+                    f"the laws and contacts of a scene must have at most {MOST_INSTRUCTIONS} operations, of which a "
+                    "point of contact takes some 50: omit some, such as all but the feet by links of ground"
+                )
             self._known[key] = to = self.new()
             self.code.append((operation, to, a, b, self.new() if operation in BRANCHED else c))
         return self._known[key]

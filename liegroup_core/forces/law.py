@@ -463,7 +463,10 @@ def _compile_all(described):
     program, signals, found = Program(), {}, []
     program.new(), program.new(), program.new()  # WITNESS, CAUSE, LAW_TIME
     for law in laws_of(described):
-        found.append((law, law.compile(program, signals)))
+        try:
+            found.append((law, law.compile(program, signals)))
+        except _Misplaced as error:  # each law compiles alone, so there are too many
+            raise SceneError(f'forces "{law.name}": {error.text.partition(": ")[2]}') from None
         program.owners += [law.name] * (len(program.code) - len(program.owners))
         signals |= {f"{law.name}.{name}": register for name, register in found[-1][1].shown.items()}
     return program, signals, found

@@ -99,6 +99,14 @@ def run_apart(tool, path, arguments=(), folders=None):
     raise refusal(file, line, f"{tool}: {(' '.join(text) or 'failed')[-400:]}{advice}", kind)
 
 
+def triangulated(order, folders):
+    """Dict that the tool meshes finds for an order, see meshes.py. Raises SceneError with the tool's own message."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "shapes.json")
+        path.write_text(json.dumps(order))
+        return json.loads(run_apart("meshes", path, folders=[*folders, folder]))
+
+
 def _ended(command, **options):
     """Exit code of a command, or None if it was killed after SECONDS.
 
@@ -241,14 +249,14 @@ def _compile(folders, path):
 
 
 def _triangulate(folders, path):
-    """Triangles of the shapes of a robot as JSON."""
-    from .meshes import triangles_of
+    """Triangles of the shapes of a robot, or hulls, as JSON."""
+    from .meshes import hulls_of, triangles_of
 
     order = json.loads(Path(path).read_text())
-    if any(asset >= 0 for *_, asset in order["shapes"]):
+    if any(asset >= 0 for *_, asset in order.get("hulls") or order["shapes"]):
         from . import mjcf_model  # noqa: F401  a confined process cannot load MuJoCo
     _confine(folders)
-    return json.dumps(triangles_of(order))
+    return json.dumps(hulls_of(order) if "hulls" in order else triangles_of(order))
 
 
 def main(folders, tool, *arguments):

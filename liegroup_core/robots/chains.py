@@ -44,8 +44,6 @@ def kept_joints(robot, options, notes):
         notes.append(f"changes the motion: cut {listed(cut)}, {mass:.6g} kg in all")
     for name in cut:
         del robot.links[name]
-    if "collision" in robot.changes:  # a note counts the shapes of the links that stay
-        robot.changes["collision"] = [name for name in robot.changes["collision"] if name not in cut]
     kept.add(WORLD)
     return [joint for joint in robot.joints if joint.parent in kept and joint.child in kept]
 

@@ -8,6 +8,7 @@ frames of a joint coincide.
 
 import difflib
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -44,7 +45,7 @@ ONE_COORDINATE = ("revolute", "prismatic", "screw")
 class Visual:
     """Shape that a viewer draws.
 
-    kind  : box, cylinder, capsule, ellipsoid, sphere or mesh
+    kind  : box, cylinder, capsule, ellipsoid, sphere or mesh; of a collision shape also others
     size  : m: edges (x, y, z); (radius, length); (radius, length without caps); radii (x, y, z);
             (radius,); for a mesh its scale (x, y, z)
     pose  : (4, 4) in the frame of the link
@@ -59,6 +60,20 @@ class Visual:
     mesh: str = ""
     color: tuple | None = None
     asset: int = -1
+
+
+@dataclass
+class Collision:
+    """Shape of a link for contacts; what is wrong with it is an error only if it is read.
+
+    line     : line of the file; 0 if unknown
+    shape    : function () -> its Visual, or None if it is no known shape
+    friction : function () -> coefficient of friction; None if the file gives none
+    """
+
+    line: int
+    shape: Callable
+    friction: Callable | None = None
 
 
 @dataclass
@@ -83,6 +98,7 @@ class Link:
     pose: np.ndarray = field(default_factory=lambda: np.eye(4))
     twist: np.ndarray = field(default_factory=lambda: np.zeros(6))
     visuals: list = field(default_factory=list)
+    collisions: list = field(default_factory=list)
     lacks: tuple | None = None
     weight: float = 1.0
 

@@ -17,6 +17,7 @@ from .actuators import add_drives
 from .additions import added_couplings, added_drive, added_forces, added_joints
 from .chains import base_of, grouped, kept_joints, locked_joints, place_links
 from .description import ONE_COORDINATE, WORLD, frame_keys, listed
+from .ground import add_contacts
 from .names import scene_name, unique_names
 from .options import BEYOND, is_within
 from .resources import note_mesh
@@ -126,6 +127,7 @@ def scene_parts(robot, options):
     _lift(robot, grouping, parts, used, taken)
     add_drives(robot, options, parts, values, taken)
     add_tendons(robot, options, grouping, parts, used, taken)
+    contacts = add_contacts(robot, options, grouping, parts, used, taken)
     for i, entry in enumerate(added_forces(options, grouping, parts)):
         parts.add("forces", entry, ("forces", i))
     add_sensors(robot, options, grouping, parts, used)
@@ -153,7 +155,7 @@ def scene_parts(robot, options):
         if renamed:
             notes.append(f"renamed {what}: {listed(renamed)}")
     parts.drive = added_drive(options, parts)
-    parts.notes = [*notes, *_left_out(robot, grouping, switches, outside)]
+    parts.notes = [*notes, *contacts, *_left_out(robot, grouping, switches, outside)]
     return parts
 
 
@@ -428,11 +430,6 @@ def _left_out(robot, grouping, switches, outside):
     stops, friction = switches
     notes = []
     moving = {joint.name: joint for joint in grouping.moving}
-    contacts = robot.changes.pop("collision", [])
-    if contacts:
-        notes.append(
-            f"changes the motion: no contact, {_counted(contacts)} without effect: bodies pass through each other"
-        )
     for keys, text, acting in (
         (("lower", "upper"), "joint limits are not enforced", {*stops, *outside}),
         (("friction",), "joint friction is not simulated", friction),
@@ -475,9 +472,3 @@ def _check_visual(robot, visual, link):
 
 def _from_line(robot, line):
     return f"line {line}" if line else f"of the {robot.kind} file"
-
-
-def _counted(names):
-    """Text with the number of collision shapes and their links."""
-    links = list(dict.fromkeys(names))
-    return f"{len(names)} collision shape{'s'[: len(names) != 1]} of {listed(links)}"

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Triangles of the shapes that a viewer draws, by trimesh. It runs in a separate process, see apart.py."""
+"""Triangles of the shapes that a viewer draws, and hulls of collision meshes, by trimesh.
+
+It runs in a separate process, see apart.py.
+"""
 
 import base64
 
@@ -8,6 +11,8 @@ import trimesh
 
 ROUND = 32  # facets of a cylinder's surface
 BOX = 12  # triangles of a box
+DIRECTIONS = 4096  # 3 degrees apart, in which hulls are compared
+AT_ONCE = 10**7  # products of points and directions, 80 MB
 
 
 def triangles_of(order):
@@ -40,6 +45,47 @@ def triangles_of(order):
     for (body, *color), mesh in whole.items():
         shapes.setdefault(body, []).append(_packed(mesh) | {"color": color or None})
     return {"shapes": shapes, "failed": failed, "triangles": total, "boxes": boxes, "lacks": lacks}
+
+
+def hulls_of(order):
+    """Dict of JSON types: hulls [{points, loss, failed}] of meshes, each with `hull_of`, or with why it failed.
+
+    order : dict with hulls [(scale, path, asset)] as in the shapes of `triangles_of`, and most and within of `hull_of`
+    """
+    found = []
+    for scale, path, asset in order["hulls"]:
+        try:
+            points = np.concatenate([mesh.vertices for mesh, _ in _meshes("mesh", scale, path, asset)])
+            chosen, loss = hull_of(points, order["most"], order["within"])
+            found.append({"points": chosen.tolist(), "loss": loss, "failed": ""})
+        # As above: the contacts of the other shapes still act.
+        except Exception as error:
+            why = " ".join(f"{type(error).__name__}: {error}".split())[:120]
+            found.append({"points": None, "loss": 0.0, "failed": why})
+    return {"hulls": found}
+
+
+def hull_of(points, most, within):
+    """(points (k, 3) of a hull, loss in m): some of the points, at most `most`, and how far their hull lacks behind.
+
+    The loss is the largest difference of the support functions among DIRECTIONS directions of a Fibonacci sphere and
+    those of the axes. A point is added where it is largest, until it is at most `within`.
+    """
+    k = np.arange(DIRECTIONS) + 0.5
+    z, turn = 1.0 - 2.0 * k / DIRECTIONS, np.pi * (1.0 + np.sqrt(5.0)) * k
+    ball = np.column_stack([np.sqrt(1.0 - z**2) * np.cos(turn), np.sqrt(1.0 - z**2) * np.sin(turn), z])
+    directions = np.concatenate([np.eye(3), -np.eye(3), ball])
+    parts = np.array_split(directions, 1 + len(points) * len(directions) // AT_ONCE)
+    farthest = np.unique(np.concatenate([np.argmax(points @ part.T, axis=0) for part in parts]))
+    reach = points[farthest] @ directions.T
+    whole, own, chosen = reach.max(axis=0), np.full(len(directions), -np.inf), []
+    while True:
+        at = np.argmax(whole - own)
+        loss = whole[at] - own[at]
+        if loss <= within or len(chosen) == most:
+            return points[farthest[chosen]], float(loss)
+        chosen.append(np.argmax(reach[:, at]))
+        own = np.maximum(own, reach[chosen[-1]])
 
 
 def _meshes(kind, size, path, asset):

@@ -10,6 +10,7 @@ import json
 import math
 import os
 import re
+from functools import partial
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from liegroup_core.lie.groups import SO3
 from .access import is_permitted, outside
 from .actuators import FREE, Actuator
 from .apart import run_apart
-from .description import NOT_DRAWN, WORLD, Link, Relation, Robot, RobotJoint, Visual, place, refusal
+from .description import NOT_DRAWN, WORLD, Collision, Link, Relation, Robot, RobotJoint, Visual, place, refusal
 from .mjcf_sensors import read_sensors
 from .resources import note_mesh
 from .tendons import Tendon, add_relation
@@ -55,7 +56,7 @@ def robot_of_mjcf(root, path):
         _body(robot, model, body, name, names, lines)
     _joints(robot, model, names, lines)
     _equalities(robot, model, names, lines)
-    _shapes(robot, model, names)
+    _shapes(robot, model, names, lines)
     _poses(robot, model, names)
     _actuators(robot, model, lines)
     _others(robot, model, names, lines)
@@ -266,13 +267,18 @@ def _closing(robot, equality, names, line):
     )
 
 
-def _shapes(robot, model, names):
-    """Add visuals, and note the collision shapes. Of a body without a shape that MuJoCo shows, all are visuals."""
+def _shapes(robot, model, names, lines):
+    """Add visuals and collision shapes. Of a body without a shape that MuJoCo shows, all are visuals."""
     shown = {geom["body"] for geom in model["geoms"] if geom["group"] <= SHOWN}
     for geom in model["geoms"]:
         name, kind, (x, y, z) = (WORLD, *names)[geom["body"]], geom["type"], geom["size"]
+        pose, sizes = place(geom["pos"], _rotation(geom["quat"])), {"box": (2 * x, 2 * y, 2 * z), "sphere": (x,)}
+        size = (sizes | {"ellipsoid": (x, y, z)}).get(kind, (x, 2 * y))
         if geom["collides"] and name != WORLD:
-            robot.leave_out("collision", name, changes_motion=True)
+            label = f"mesh {geom['missing']}, which is missing," if geom["missing"] else kind
+            visual = partial(Visual, label, size, pose, asset=geom["asset"])
+            line = lines.get(("geom", geom["name"]), robot.links[name].line)
+            robot.links[name].collisions.append(Collision(line, visual, partial(float, geom["friction"])))
         if geom["missing"]:
             note_mesh(robot, geom["missing"], name)
         elif geom["group"] > SHOWN and geom["body"] in shown:
@@ -282,10 +288,9 @@ def _shapes(robot, model, names):
         elif kind not in VISUALS:
             robot.leave_out(NOT_DRAWN, f"{kind} {geom['name']}".strip() + f" of {name}")
         else:
-            sizes = {"box": (2 * x, 2 * y, 2 * z), "sphere": (x,), "ellipsoid": (x, y, z)}
-            pose, color = place(geom["pos"], _rotation(geom["quat"])), geom["color"] and tuple(geom["color"])
+            color = geom["color"] and tuple(geom["color"])
             visuals = robot.fixtures if name == WORLD else robot.links[name].visuals
-            visuals.append(Visual(kind, sizes.get(kind, (x, 2 * y)), pose, "", color, geom["asset"]))
+            visuals.append(Visual(kind, size, pose, "", color, geom["asset"]))
     for name in model["skins"]:
         robot.leave_out(NOT_DRAWN, name)
 

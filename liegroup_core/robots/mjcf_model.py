@@ -321,6 +321,7 @@ def _geom(model, i):
     return _of(model, "geom", i, "group", "size", "pos", "quat", body="bodyid") | {
         "name": model.geom(i).name,
         "color": _color(model, i),
+        "friction": float(model.geom_friction[i, 0]),
         "type": "mesh" if has_mesh else kind,
         "asset": int(model.geom_dataid[i]) if has_mesh else -1,
         "collides": bool(

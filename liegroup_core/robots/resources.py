@@ -16,6 +16,7 @@ from .xml import read_xml
 MARKS = ("package.xml", "model.config")  # one of them is in the folder of a package or model
 _NAME = re.compile(r"<name>\s*([^<\s]+)\s*</name>")  # in a package.xml; reading a workspace takes 20 us a package
 LONGEST_HEAD = 2**16  # characters of a package.xml with its name
+LARGEST_MESH = 64 * 2**20  # bytes of a mesh file
 LATEST_SDF = (1, 12)  # latest version that the import supports
 
 
@@ -62,6 +63,14 @@ def readable_resource(address, file):
         return None
     named = address.startswith(("package://", "model://"))
     return permit(path, path if named else file)
+
+
+def readable_mesh(address, file):
+    """As `readable_resource`. Raises SceneError also if the file is larger than LARGEST_MESH."""
+    path = readable_resource(address, file)
+    if path is not None and os.path.getsize(path) > LARGEST_MESH:
+        raise SceneError(f"it is larger than {LARGEST_MESH >> 20} MiB")
+    return path
 
 
 def note_mesh(robot, address, link):

@@ -6,10 +6,11 @@ A link without <inertial> has the format's defaults: 1 kg, and 1 kg m^2 about ev
 """
 
 import math
+from functools import partial
 
 import numpy as np
 
-from .description import NOT_DRAWN, Link, Visual
+from .description import NOT_DRAWN, Collision, Link, Visual
 from .links import combined
 from .omitted import OF_GRAVITY, omit
 from .sdf_frames import read_pose, text_of
@@ -51,8 +52,10 @@ def read_link(reader, robot, model, element):
         link.visuals += visuals
         if not visuals:
             robot.leave_out(NOT_DRAWN, visual.get("name") or name)
-    for _ in element.iterfind("collision"):
-        robot.leave_out("collision", name, changes_motion=True)
+    for part in element.iterfind("collision"):
+        friction = part.find("surface/friction/ode/mu")
+        read = None if friction is None else partial(reader.number, friction, friction.text, "<mu>")
+        link.collisions.append(Collision(part.sourceline, partial(_shape, reader, model, part), read))
     if any(text_of(element, key) in ("false", "0") for key in OF_GRAVITY):
         link.weight = 0.0
     for part in element.iterfind("sensor"):
@@ -61,6 +64,11 @@ def read_link(reader, robot, model, element):
         if part.tag not in OF_LINKS:
             omit(robot, part, f"{part.tag} of links", part.get("name") or name)
     return link
+
+
+def _shape(reader, model, collision):
+    """Visual of a <collision>, or None."""
+    return next(iter(_visuals(reader, collision, model.place_in(collision.getparent(), collision))), None)
 
 
 def _fill(reader, robot, model, element, link):

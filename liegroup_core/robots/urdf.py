@@ -9,6 +9,7 @@ same name; the latter takes a missing moment of inertia as 1.
 """
 
 import math
+from functools import partial
 
 import numpy as np
 from lxml import etree
@@ -17,7 +18,7 @@ from liegroup_core.fields.frames import rotation_z_to
 from liegroup_core.lie.groups import SE3
 
 from .controllers import add_servos
-from .description import NOT_DRAWN, WORLD, Link, Relation, Robot, RobotJoint, Visual, meant, place
+from .description import NOT_DRAWN, WORLD, Collision, Link, Relation, Robot, RobotJoint, Visual, meant, place
 from .omitted import ACTING, PARTS, omit
 from .rotors import OF_ROTOR, add_rotor
 from .sdf_frames import read_pose, text_of
@@ -110,6 +111,8 @@ def _gazebo(reader, robot, element):
     link, joint = robot.links.get(name), robot.joint(name)
     label, left = name or "unnamed", False
     for part in element:
+        for collision in link.collisions if link is not None and part.tag == "mu1" else ():
+            collision.friction = partial(reader.number, part, part.text, "<mu1>")
         if part.tag == "sensor" and link is not None:
             link_sensor(reader, robot, part, name, _place_in(reader, robot, name, part))
         elif part.tag == "sensor" and joint is not None:
@@ -207,12 +210,17 @@ def _link(reader, robot, element, colors):
         link.visuals += visuals
         if not visuals:
             robot.leave_out(NOT_DRAWN, link.name)
-    for _ in element.iterfind("collision"):
-        robot.leave_out("collision", link.name, changes_motion=True)
+    for part in element.iterfind("collision"):
+        link.collisions.append(Collision(part.sourceline, partial(_shape, reader, part)))
     for child in element:
         if child.tag not in ("inertial", "visual", "collision", "material"):
             omit(robot, child, f"{child.tag} of links", link.name)
     return link
+
+
+def _shape(reader, collision):
+    """Visual of a <collision>, or None."""
+    return next(iter(_visuals(reader, collision, {})), None)
 
 
 def _origin(reader, element):

@@ -10,6 +10,7 @@ from liegroup_core.joints.coupling import Coupling
 from liegroup_core.joints.motion import Motion
 from liegroup_core.joints.rotor import Rotor
 from liegroup_core.joints.stops import Backlash, Cone, CylinderFriction, CylinderLimits, Friction, Limits
+from liegroup_core.robots.ground import Ground
 from liegroup_core.robots.starts import Start
 
 from .description import FORCES, JOINTS, SENSORS, Body, Scene
@@ -41,6 +42,7 @@ PARTS = {
     "drive": (Drive,),
     "file beside a robot": (RobotFile,),
     "start of a link": (Start,),
+    "ground of a robot": (Ground,),
 }
 
 

@@ -20,6 +20,7 @@ from liegroup_core.joints.coupling import Coupling
 from liegroup_core.joints.motion import Motion
 from liegroup_core.robots.chains import base_of
 from liegroup_core.robots.description import MISSING_MESHES, WORLD
+from liegroup_core.robots.ground import Ground
 from liegroup_core.robots.mapping import scene_parts
 from liegroup_core.robots.options import BASES, Options
 from liegroup_core.robots.read import SUFFIXES, read_robot
@@ -86,6 +87,12 @@ Arguments = Annotated[
 ]
 
 
+def _ground(value):
+    if value is None:
+        raise ValueError("must be a mapping, such as {} or {height: 0.1}")
+    return value
+
+
 class RobotFile(Described):
     """YAML file with additions to a robot file."""
 
@@ -134,6 +141,9 @@ class RobotFile(Described):
     sensors: entries_of(SENSORS) = Field((), description="sensors, which refer to links and joints of the robot")
     roll: ByJoint = Field({}, description="radius in m of the wheels at these joints, which roll on z = 0 of the world")
     drive: Drive | None = Field(None, description="wheels that the node commands by ~/cmd_vel")
+    ground: Annotated[Ground | None, BeforeValidator(_ground)] = Field(
+        None, description="horizontal plane that the collision shapes touch, {} for its defaults; default: none"
+    )
 
 
 class RobotNames:
@@ -244,6 +254,7 @@ def robot_beside(root, source):
         sensors=list(given.sensors),
         roll=given.roll,
         drive=given.drive,
+        ground=given.ground,
         gravity=given.gravity,
         name=given.name,
         description=given.description,

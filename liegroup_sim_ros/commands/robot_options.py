@@ -3,6 +3,7 @@
 
 from liegroup_core.errors import LieGroupSimError, SceneError
 from liegroup_core.joints.kinds import Joint
+from liegroup_core.robots.ground import Ground
 from liegroup_core.robots.names import scene_name
 from liegroup_core.robots.options import ALL, BASES, Options
 from liegroup_core.robots.starts import Start
@@ -13,6 +14,8 @@ from liegroup_core.scene.yaml_text import read_yaml
 CLOSING = ("spherical", "revolute", "prismatic", "cylindrical", "planar", "fixed", "universal")
 # Names of the same joints in SDF and MJCF.
 ALSO = {"ball": "spherical", "hinge": "revolute", "slide": "prismatic", "slider": "prismatic"}
+
+WANTED = {"roll": "JOINT=RADIUS, in m", "ground": "KEY=VALUE, such as friction=0.8"}  # of options with numbers
 
 
 class RobotError(LieGroupSimError):
@@ -52,6 +55,13 @@ def add_robot_options(parser):
         ("drive", "JOINT", "driven joints; they keep their velocity at the start until a command"),
     ):
         parser.add_argument(f"--{name}", nargs="+", action="extend", default=[], metavar=each, help=text)
+    parser.add_argument(
+        "--ground",
+        nargs="*",
+        metavar="LINK | KEY=VALUE",
+        help="the collision shapes of these links (default: all) touch the plane z = 0 of the world; keys: height, "
+        "friction, sinks, load, restitution (liegroup_sim keys ground)",
+    )
     for name, what in (
         ("stops", "limits are not stops"),
         ("friction", "no dry friction acts"),
@@ -99,6 +109,7 @@ def _options(args, name=None):
         driven=dict.fromkeys(args.drive),
         only=args.only,
         roll=_radii(args.roll),
+        ground=_ground(args.ground),
         joints=[_closing(*entry) for entry in args.close],
         name=name,
         xacro=_arguments(args.arguments),
@@ -133,7 +144,7 @@ def _values(entries, option):
         except ValueError:
             separator = ""
         if not separator or not abs(found.get(name, 0.0)) < 1e100:
-            wanted = "JOINT=RADIUS, in m" if option == "roll" else "JOINT=VALUE, in rad or m, rad/s or m/s"
+            wanted = WANTED.get(option, "JOINT=VALUE, in rad or m, rad/s or m/s")
             raise RobotError(f"--{option} {entry}: give {wanted}")
     return found
 
@@ -145,6 +156,17 @@ def _radii(entries):
         if not radius > 0.0:
             raise RobotError(f"--roll {name}: the radius must be greater than 0, got {radius:g}")
     return found
+
+
+def _ground(entries):
+    """Ground of names of links and KEY=VALUE texts; None: no ground."""
+    if entries is None:
+        return None
+    links, numbers = [each for each in entries if "=" not in each], [each for each in entries if "=" in each]
+    try:
+        return Ground(**({"links": links} | _values(numbers, "ground")))
+    except SceneError as error:
+        raise RobotError(f"--ground: {str(error).removeprefix('Ground: ')}") from None
 
 
 def _start(name, text):

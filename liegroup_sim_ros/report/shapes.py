@@ -7,9 +7,7 @@ separate process, robots/apart.py.
 """
 
 import base64
-import json
 import os
-import tempfile
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -17,13 +15,12 @@ import numpy as np
 
 from liegroup_core.errors import SceneError
 from liegroup_core.robots.access import trees
-from liegroup_core.robots.apart import run_apart
-from liegroup_core.robots.resources import readable_resource
+from liegroup_core.robots.apart import triangulated
+from liegroup_core.robots.resources import readable_mesh
 from liegroup_core.scene.load import load_scene
 from liegroup_sim_ros.numbers import counted
 
 MOST_TRIANGLES = 20_000  # in a page
-LARGEST_FILE = 64 * 2**20  # bytes of a mesh file
 HINT = "pip install 'liegroup_sim_ros[meshes]'"
 
 
@@ -45,7 +42,7 @@ def robot_shapes(robot, most=MOST_TRIANGLES):
             folders.update(trees(robot.file))
         elif visual.kind == "mesh":
             try:
-                path = _file(visual.mesh, robot.file)
+                path = readable_mesh(visual.mesh, robot.file)
             except SceneError as error:
                 failed[visual.mesh] = str(error)
                 continue
@@ -57,7 +54,7 @@ def robot_shapes(robot, most=MOST_TRIANGLES):
         size = list(map(float, visual.size))
         shapes.append((body, visual.kind, size, pose.tolist(), str(path), visual.color, visual.asset))
     try:
-        found = _triangles({"shapes": shapes, "most": most}, folders)
+        found = triangulated({"shapes": shapes, "most": most}, folders)
     except SceneError as error:
         return {}, [f"visuals are drawn as boxes: {str(error).partition(': ')[2]}"]
     failed |= {names[path]: text for path, text in found["failed"].items()}
@@ -93,21 +90,6 @@ def decoded(shape):
     """Points (k, 3) in m, in the body's frame, and faces (m, 3) of a shape."""
     points, faces = (base64.b64decode(shape[key]) for key in ("points", "faces"))
     return np.frombuffer(points, "<f4").reshape(-1, 3), np.frombuffer(faces, "<i4").reshape(-1, 3)
-
-
-def _file(address, file):
-    """Path of a mesh file, or None if it does not exist. Raises SceneError if it may not be read."""
-    path = readable_resource(address, file)
-    if path is not None and os.path.getsize(path) > LARGEST_FILE:
-        raise SceneError(f"it is larger than {LARGEST_FILE >> 20} MiB")
-    return path
-
-
-def _triangles(order, folders):
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder, "shapes.json")
-        path.write_text(json.dumps(order))
-        return json.loads(run_apart("meshes", path, folders=[*folders, folder]))
 
 
 def _remarks(found, missing, failed, most):
