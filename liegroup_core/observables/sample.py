@@ -64,12 +64,12 @@ class Sample:
             array.flags.writeable = False
         return found
 
-    @property
+    @cached_property
     def pose(self) -> NDArray[np.float64]:
         """(n, 12) per body R row by row, then r in m; body frame -> world."""
         return self._at_bodies[0]
 
-    @property
+    @cached_property
     def twist(self) -> NDArray[np.float64]:
         """(n, 6) per body omega rad/s, v m/s; body axes, v of the frame's origin."""
         return self._at_bodies[1]
