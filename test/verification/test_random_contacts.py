@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Random bodies thrown on the ground and at each other, against the independent reference integration."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from volume import some
+
+from liegroup_core import Simulation
+from liegroup_core.mechanism.body_model import initial_state
+from liegroup_core.reference import integrate
+from liegroup_core.scene.centres import at_centres_of_mass
+from liegroup_core.scene.load import scene_from_text
+
+SHAPES = (
+    "{type: sphere, radius: 0.1}",
+    "{type: capsule, radius: 0.06, length: 0.2}",
+    "{type: box, size: [0.2, 0.3, 0.12]}",
+    "{type: cylinder, radius: 0.1, length: 0.15}",
+    "{type: hull, points: [[0.1, 0, 0], [-0.1, 0, 0], [0, 0.12, 0], [0, -0.1, 0.02], [0, 0, 0.1], [0.02, 0.03, -0.1]]}",
+)
+SIZE = 0.3  # m
+SEEDS = some(range(512), 2)
+
+
+def thrown(seed):
+    """One or two bodies of random shapes, masses and contacts."""
+    rng = np.random.default_rng(seed)
+    count, bodies, forces = int(rng.integers(1, 3)), [], []
+    for i in range(count):
+        mass = float(rng.uniform(0.5, 3.0))
+        numbers = {
+            "mass": mass,
+            "inertia": (mass * rng.uniform(0.004, 0.007, 3)).tolist(),
+            "com": rng.uniform(-0.01, 0.01, 3).tolist(),
+            "position": [0.32 * i, float(rng.uniform(-0.05, 0.05)), float(rng.uniform(0.25, 0.35))],
+            "quaternion": Rotation.from_rotvec(rng.normal(size=3)).as_quat().tolist(),
+            "linear_velocity": rng.uniform(-1.0, 1.0, 3).tolist(),
+            "angular_velocity": rng.uniform(-5.0, 5.0, 3).tolist(),
+        }
+        bodies.append(f"  - {{name: b{i}, {', '.join(f'{key}: {value}' for key, value in numbers.items())}}}")
+        friction, shape = rng.choice([0.0, 0.2, 0.6]), SHAPES[rng.integers(len(SHAPES))]
+        slides = f", friction: {friction}, slip: {10 ** rng.uniform(-4, -3)}" if friction else ""
+        keys = f"stiffness: {10 ** rng.uniform(3, 6)}, restitution: {rng.uniform(0.1, 1.0)}{slides}"
+        forces.append(f"  - {{name: f{i}, type: contact, body: b{i}, shape: {shape}, {keys}}}")
+    if count == 2:
+        keys = f"stiffness: {10 ** rng.uniform(3, 5)}, restitution: 0.5, friction: 0.3, slip: 1e-3"
+        shapes = f"shape: {SHAPES[0]}, other_shape: {SHAPES[rng.integers(2)]}"
+        forces.append(f"  - {{name: hit, type: contact, body: b0, other: b1, {shapes}, {keys}}}")
+    lines = ["name: thrown", "gravity: [0, 0, -9.81]", "bodies:", *bodies, "forces:", *forces]
+    return scene_from_text("\n".join(lines), "test")
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_an_accuracy_is_kept_through_random_contacts_or_the_run_says_so(seed):
+    """The estimate is at least half of an error beyond the accuracy; the reference knows its own uncertainty."""
+    scene, times = thrown(seed), np.array([0.0, 0.2, 0.4, 0.6])
+    exact, known = integrate(scene, *initial_state(at_centres_of_mass(scene)), times)
+    uncertain = max(known.position.max() / SIZE, known.angle.max())
+    for accuracy in (1e-2, 1e-5, 1e-9):
+        simulation = Simulation(scene, accuracy=accuracy, horizon=1.0, quiet=True)
+        for k, time in enumerate(times):
+            simulation.advance_to(time)
+            sample = simulation.sample()
+            error = max(
+                np.abs(sample.pose_matrices[:, :3, 3] - exact.position[k]).max() / SIZE,
+                np.abs(sample.pose_matrices[:, :3, :3] - exact.rotation[k]).max(),
+            )
+            assert error <= max(accuracy, 2.0 * simulation.largest_error) + uncertain, (accuracy, time)
+    assert uncertain <= 1e-6
