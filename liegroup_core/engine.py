@@ -541,6 +541,10 @@ class Engine:
                 break
         self._warnings.give(self)
 
+    def fall_back(self):
+        """Stand at the last state that was integrated: that of the present time, in the next step, cannot be."""
+        self.now, self._here = self.base, None
+
     def _stand(self, base, now):
         """Move the base and the present time."""
         if (base, now) != (self.base, self.now):

@@ -342,6 +342,7 @@ class SimulationServer(SimulationCommands, threading.Thread):
             if instant.offset and (self._watching or self._rates.need_state(tick - self._base_ns)):
                 sample = simulation.sample()
         except SimulationError as error:
+            simulation.fall_back()
             if not self._stopping:
                 self._fault(str(error))
             return False

@@ -251,7 +251,8 @@ def test_a_recording_with_arrays_has_the_same_motion(tmp_path, monkeypatch):
             for one, other in zip(getattr(own, kind)[body], getattr(arrays, kind)[body], strict=True):
                 assert len(one) == 251 and one.tobytes() == other.tobytes()
     (one,), (other,) = own.samples(), arrays.samples()
-    assert all(np.array_equal(*pair, equal_nan=True) for pair in zip(one, other, strict=True))
+    assert one.laws is other.laws is None
+    assert all(np.array_equal(*pair, equal_nan=True) for pair in zip(one[:-1], other[:-1], strict=True))
     assert own.to_pandas().equals(arrays.to_pandas())
     figures = [analyse(recording).figures for recording in (own, arrays)]
     same = ("bodies", "invariants", "reference", "estimate", "local_error", "problems", "samples")
