@@ -449,7 +449,7 @@ def test_laws_of_the_time_keep_the_order_of_every_method(method):
     assert order - 0.25 <= slope <= order + 1.0, errors
 
 
-def test_rotation_methods_refuse_laws_of_the_time():
+def test_rotation_methods_refuse_laws_of_the_time_and_with_states():
     text = PENDULUM.replace("type: revolute", "type: spherical")
     wrench = {"type": "law", "name": "spin", "outputs": [{"body": "bob", "torque": [0, 0, "0.1*cos(t)"]}]}
     scene = scene_from_text(text, "test")
@@ -459,6 +459,9 @@ def test_rotation_methods_refuse_laws_of_the_time():
     lost = {*fitting} - {*fitting_methods(timed.layout)}
     assert lost
     with pytest.raises(ValueError, match="the law spin depends on t"):
+        Simulation(scene.remade(forces=[wrench]), sorted(lost)[0], 1e-3, quiet=True)
+    wrench |= {"states": {"i": {"rate": 1}}, "outputs": [{"body": "bob", "torque": [0, 0, "i"]}]}
+    with pytest.raises(ValueError, match="it integrates bodies only, but the law of spin has states"):
         Simulation(scene.remade(forces=[wrench]), sorted(lost)[0], 1e-3, quiet=True)
 
 
