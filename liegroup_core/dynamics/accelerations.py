@@ -16,6 +16,21 @@ from .loops import POOR, SINGULAR, apply_multipliers, close_loops, project, set_
 from .matrix import AT, NEAR
 from .residuals import add_multipliers, gather_residual, set_free_residual, set_present_residual, set_residual
 from .singular_poses import SIDES, WEIGHTS, add_aside, begin_aside, end_aside, go_aside
+from .sliding import (
+    NEWTON,
+    add_share,
+    are_off,
+    begin_shares,
+    count_slides,
+    factorise_shares,
+    improve_shares,
+    keep_rates,
+    open_surfaces,
+    set_column,
+    set_surface_rates,
+    slides,
+    take_kept_rates,
+)
 from .switches import apply_switches, set_row_efforts
 from .trees import apply_wrenches, gather, move_links, spread, spread_response
 
@@ -118,8 +133,8 @@ def balance(model, work):
 
 
 @shared
-def _accelerations_of_stage(model, work, external):
-    """Accelerations at the stage, not displaced; returns the same as `accelerations`."""
+def _accelerations_of_branches(model, work, external):
+    """Accelerations with the branches of laws as they are; returns the same as `accelerations`."""
     if model.only_free_bodies:
         work.report[PIVOT] = 1.0
         accelerations_of_free_bodies(model, work, external)
@@ -131,6 +146,49 @@ def _accelerations_of_stage(model, work, external):
     if applied:
         apply_forces(model, work, external)
     return balance(model, work)
+
+
+@subroutine
+def _rates_of_branches(model, work, external):
+    """As above, also the rates of the surfaces of laws."""
+    found = _accelerations_of_branches(model, work, external)
+    if found < 0:
+        set_surface_rates(model, work)
+    return found
+
+
+@shared
+def _accelerations_on_surfaces(model, work, external):
+    """Accelerations of motions that slide along surfaces, see sliding.py; returns the same as `accelerations`."""
+    begin_shares(model, work)
+    found = _rates_of_branches(model, work, external)
+    keep_rates(work)
+    for j in range(len(work.shares)):
+        if found < 0 and slides(model, work, j):
+            add_share(model, work, j, 1.0)
+            found = _rates_of_branches(model, work, external)
+            set_column(model, work, j)
+            add_share(model, work, j, -1.0)
+    if found >= 0:
+        return found
+    left = NEWTON if factorise_shares(model, work) else 0
+    take_kept_rates(work)
+    while left > 0 and found < 0:
+        improve_shares(model, work)
+        found = _rates_of_branches(model, work, external)
+        left = left - 1 if are_off(model, work) else -1
+    if left == 0 and found < 0:
+        open_surfaces(model, work)
+        found = _accelerations_of_branches(model, work, external)
+    return found
+
+
+@kernel
+def _accelerations_of_stage(model, work, external):
+    """Accelerations at the stage, not displaced; returns the same as `accelerations`."""
+    if count_slides(model, work) > 0:
+        return _accelerations_on_surfaces(model, work, external)
+    return _accelerations_of_branches(model, work, external)
 
 
 @shared

@@ -8,6 +8,7 @@ the polynomial without the middle node estimates the error. So are those of the 
 
 A branch is OPEN where both of its sides lead back to its end: the law takes at every stage the branch of its
 arguments. Once all stages of a substep agree, and it leads away from the end, that one holds.
+Of a comparison the sides are shared instead, if their shares are determined: see dynamics/sliding.py.
 
 times.py confirms and locates the suspected crossings.
 """
@@ -31,7 +32,7 @@ from liegroup_core.dynamics.switches import (
     set_guards,
 )
 from liegroup_core.forces.formulas import OPEN
-from liegroup_core.forces.law import branch_matters, branch_of, distances_in, next_branch
+from liegroup_core.forces.law import branch_matters, branch_of, distances_in, is_shared, next_branch
 from liegroup_core.mechanism.arrays import COORDINATE, NODES, RESTS, SIDE, SLIP
 
 NONE = -1.0  # in Work.crossed: the guard is not crossed
@@ -132,8 +133,11 @@ def begin_at_end(work):
 
 
 @kernel
-def _gives_way(weights, course, k, c):
-    """(fraction of the step at which guard c, LEAST or MOST, of switch k may be negative, guard there), or NONE, 0."""
+def _gives_way(weights, course, k, c, start):
+    """(fraction of the step at which guard c, LEAST or MOST, of switch k may be below `start`, guard there), or NONE, 0.
+
+    The guard is relative to `start`.
+    """
     place, least = NONE, 0.0
     if not course[END, k, c - LEAST] < math.inf:
         return place, least
@@ -142,7 +146,7 @@ def _gives_way(weights, course, k, c):
         for row in range(NODES):
             guard += weights[0, i, row] * course[row, k, c - LEAST]
             other += weights[1, i, row] * course[row, k, c - LEAST]
-        guard -= abs(guard - other)
+        guard -= abs(guard - other) + start
         if guard < least:
             place, least = (i + 1) / PARTS, guard
     return place, least
@@ -252,7 +256,7 @@ def crossed(model, work, h, weights):
                 if guards[k, c] < 0.0:
                     places[k, c] = 1.0
                 elif c > SLIDING:
-                    places[k, c] = _gives_way(weights, work.course, k, c)[0]
+                    places[k, c] = _gives_way(weights, work.course, k, c, 0.0)[0]
         else:
             q0, v0, v1 = work.modes[k, COORDINATE], work.since[k, 0], work.now[k, 0]
             a0, a1, soft = work.since[k, 1], work.now[k, 1], switch["stiffness"] > 0.0
@@ -291,12 +295,20 @@ def crossed(model, work, h, weights):
             _close_branch(work, weights, k, row)
             continue
         for c in range(LEAST, MOST + 1):
-            place, way = 1.0, work.guards[row, c]
+            # After an event a guard starts at zero, up to the error of the method.
+            start = min(work.course[START, row, c - LEAST], 0.0)
+            if is_shared(model.space.forces.laws, work.branches[k], k):
+                start = 0.0
+            place, way = 1.0, work.guards[row, c] - start
             if not way < 0.0:
-                place, way = _gives_way(weights, work.course, row, c)
+                place, way = _gives_way(weights, work.course, row, c, start)
             if place != NONE and not _matters(model, work, k, c, way, h):
                 if place == 1.0:  # it changes without an event
-                    work.branches[k] = branch_of(model.space.forces.laws, work.registers, k)
+                    laws = model.space.forces.laws
+                    if is_shared(laws, work.branches[k], k):
+                        work.branches[k] = next_branch(laws, work.branches[k], k, c == MOST)
+                    else:
+                        work.branches[k] = branch_of(laws, work.registers, k)
                     work.changed[0] = 1.0
                 place = NONE
             places[row, c] = place

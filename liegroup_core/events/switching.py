@@ -15,8 +15,8 @@ import numpy as np
 
 from liegroup_core.dynamics.switches import LEAST, LOWER, MOST, SLIDING, UPPER, modes_of
 from liegroup_core.forces.acting import Acting
-from liegroup_core.forces.formulas import OPEN, UNKNOWN
-from liegroup_core.forces.law import next_branch
+from liegroup_core.forces.formulas import OPEN, SHARED, UNKNOWN
+from liegroup_core.forces.law import is_shared, next_branch
 from liegroup_core.joints.stops import WITHIN_A_TURN
 from liegroup_core.mechanism.arrays import BEGIN, COORDINATE, KNOWN, SIDE, SLIP, SPAN, WATCHED
 from liegroup_core.status import BEYOND_STOP, EVENT, EVENTS_WITHOUT_END, MOST_EVENTS, OK, TOO_MANY_SUBSTEPS
@@ -303,15 +303,23 @@ class Switching(EventTimes):
         work, time = self._work, float(time)  # users read it in the events
         work.clock.now[0], log = time, len(self.events)
         crossed, ends = np.split(crossed, [len(work.modes)])
-        self._change_branches(time, ends)
+        shared = self._change_branches(time, ends)
         status = self._look(self._model, work, *state)
+        apart = [k for k in shared if (work.guards[len(work.modes) + k, LEAST:] < 0.0).any()]
+        if status == OK and apart:  # no sliding motion: one of both sides leads away
+            work.branches[apart] = OPEN
+            status = self._look(self._model, work, *state)
         if status == OK and len(work.modes):
             status = self._change_modes(time, state, crossed)
         # Impulses change rates, and what laws do with them.
         left = (work.guards[len(work.modes) :, LEAST:] < 0.0).any(axis=1) & ~ends.any(axis=1)
         if status == OK and left.any():
-            work.branches[left] = UNKNOWN
+            for k in np.flatnonzero(left):
+                beyond = is_shared(self._laws, work.branches[k], k), work.guards[len(work.modes) + k, MOST] < 0.0
+                work.branches[k] = next_branch(self._laws, work.branches[k], k, beyond[1]) if beyond[0] else UNKNOWN
             status = self._look(self._model, work, *state)
+        if len(self._laws.surfaces):
+            self._keep_shares()
         if status == OK and self.instants is not None:
             here = self.present_modes(), self.events[log:], work.branches.copy()
             self.instants.append(JointInstant(time, *here))
@@ -365,15 +373,33 @@ class Switching(EventTimes):
         return OK
 
     def _change_branches(self, time, ends):
-        """Go on with the branches beyond these ends (q, 5). One whose end is met again at once is OPEN.
+        """Go on with the branches beyond these ends (q, 5). One whose end is met again at once is shared, or OPEN.
 
-        So is one with many events in a step.
+        So is one with many events in a step. Returns the numbers of those that are shared.
         """
-        laws = self._model.space.forces.laws
+        laws, branches, shared = self._laws, self._work.branches, []
         for k, c in np.argwhere(ends):
-            again = time - self._branch_times[k] <= self.same_time or self.has_many
-            self._work.branches[k] = OPEN if again else next_branch(laws, self._work.branches[k], k, c == MOST)
+            if self.has_many:
+                branches[k] = OPEN
+            elif time - self._branch_times[k] > self.same_time or is_shared(laws, branches[k], k):
+                branches[k] = next_branch(laws, branches[k], k, c == MOST)
+            elif k in laws.surfaces:
+                branches[k] = SHARED
+                shared.append(k)
+            else:
+                branches[k] = OPEN
             self._branch_times[k] = time
+        return shared
+
+    def _keep_shares(self):
+        """Keep the branches of surfaces for those who read the state."""
+        laws, work = self._laws, self._work
+        first, branches = laws.first + len(laws.held), work.branches[laws.surfaces]
+        work.angle[first : first + len(branches)] = np.where(branches > 1.0, branches, 0.0)
+
+    @property
+    def _laws(self):
+        return self._model.space.forces.laws
 
     def _is_slow(self, before, rates):
         """Mask of the switches that slid until now and whose rate has changed its sign, or is zero."""

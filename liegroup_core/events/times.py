@@ -12,6 +12,7 @@ import numpy as np
 import scipy
 
 from liegroup_core.dynamics.switches import AT_STOP, LOWER, RESTING, SLIDING, UPPER
+from liegroup_core.forces.law import is_shared
 from liegroup_core.mechanism.arrays import COORDINATE, SIDE, WATCHED
 from liegroup_core.status import OK
 
@@ -79,8 +80,8 @@ class EventTimes(ModeChanges):
             return work.guards.copy(), work.modes[:, COORDINATE].copy(), work.now.copy()
 
         def guard(tau, k, c):
-            """A guard; for a rigid stop relative to its initial value, if that is beyond the stop."""
-            start = min(seen(0.0)[0][k, c], 0.0) if c <= UPPER and self._rigid[k] else 0.0
+            """A guard; for a rigid stop or a branch relative to its initial value, if that is beyond the end."""
+            start = min(seen(0.0)[0][k, c], 0.0) if self._may_be_beyond(k, c) else 0.0
             return seen(tau)[0][k, c] - start
 
         def gap(tau, k, c):
@@ -124,6 +125,13 @@ class EventTimes(ModeChanges):
         self._return(kept, *state[:2])
         status = self._single(tau, state) if tau > 0.0 else OK
         return tau, crossed if crossed.any() and status == OK else None, status
+
+    def _may_be_beyond(self, k, c):
+        """Whether a guard may be negative at the start of a substep without an event, by the error of the method."""
+        switches = len(self._work.modes)
+        if k < switches:
+            return c <= UPPER and self._rigid[k]
+        return not is_shared(self._model.space.forces.laws, self._work.branches[k - switches], k - switches)
 
     def _acts(self, k, c):
         """Whether a compliant stop acts."""

@@ -121,6 +121,15 @@ CONTACT_SHAPES = (ContactSphere, ContactCapsule, ContactCylinder, ContactBox, Co
 AnyShape = one_of(CONTACT_SHAPES)
 
 
+class _ContactLaw(Law):
+    """Formulas of a contact."""
+
+    @property
+    def can_slide(self):
+        """No: no force jumps at its comparisons."""
+        return False
+
+
 class Contact(Force):
     """Contact of a body with a plane of the world, or with another body."""
 
@@ -318,7 +327,7 @@ class _Formulas:
         """The Law. What others can read: the sum of normal forces in N, the largest depth in m, the work in J."""
         deepest = self._depths[0] if len(self._depths) == 1 else f"max({', '.join(self._depths)})"
         shown = {"normal_force": _plus(*self._normals), "depth": deepest}
-        return Law.model_construct(
+        return _ContactLaw.model_construct(
             name=self._name,
             inputs={name: LawInput(quantity=quantity, point=point) for (quantity, point), name in self._inputs.items()},
             parameters=self._numbers,

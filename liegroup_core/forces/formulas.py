@@ -7,6 +7,7 @@ FUNCTIONS. Nothing of a text is executed by Python: its syntax tree is walked, a
 An instruction (operation, to, a, b, c) reads the registers a, b, c and writes the register `to`. Every result has a
 register of its own, and equal expressions share one. A register is a pair (value, derivative along one direction):
 `evaluate` computes the values, `differentiate` also the derivatives, by the forward mode of automatic differentiation.
+All comparisons of the same two registers are one surface, with one branch.
 
 A value that is not defined (the root of a negative number) is NaN, and one beyond the largest number is infinite:
 the step that meets it fails. A condition is 1 or 0; at a kink the derivative is that of one side.
@@ -56,7 +57,9 @@ from liegroup_core.fields.values import LARGEST_NUMBER, QUOTE, suggestion
     ATAN2,
     TANH,
     TABLE,
-) = range(28)
+    MORE,
+    MORE_EQUAL,
+) = range(30)
 
 # {name: (operation, number of arguments)}; min, max and clip are lists of operations
 FUNCTIONS = {
@@ -79,15 +82,20 @@ FUNCTIONS = {
 CONSTANTS = {"pi": math.pi, "inf": math.inf}
 TIME = "t"  # name of the time, s: register 0
 RESERVED = (TIME, *CONSTANTS, *FUNCTIONS)
+ORDERS = {ast.Lt: LESS, ast.LtE: LESS_EQUAL, ast.Gt: MORE, ast.GtE: MORE_EQUAL}
 BINARY = {ast.Add: ADD, ast.Sub: SUBTRACT, ast.Mult: MULTIPLY, ast.Div: DIVIDE, ast.Pow: POWER}
 LONGEST = 2000  # characters of a formula
 DEEPEST = 200  # levels of its tree
 MOST_INSTRUCTIONS = 20000  # of all formulas of a scene
 MOST_FACTORS = 16  # of a power that is computed by products
 _LARGEST_EXPONENT = 709.78  # exp of more exceeds the largest number
-BRANCHED = (LESS, LESS_EQUAL, MIN, MAX, ABS, TABLE)
+COMPARISONS = (LESS, LESS_EQUAL, MORE, MORE_EQUAL)
+CONDITIONS = (*COMPARISONS, EQUAL, AND, OR, NOT)
+BRANCHED = (*COMPARISONS, MIN, MAX, ABS, TABLE)
+TURNED = {LESS: MORE, LESS_EQUAL: MORE_EQUAL, MORE: LESS, MORE_EQUAL: LESS_EQUAL}  # with the arguments exchanged
 # Branches: of two arguments a > b and a < b, of abs a > 0 and a < 0; of a table see `branch_of_segment`.
 UNKNOWN, OPEN, ABOVE, BELOW = 0.0, 0.5, 1.0, -1.0  # UNKNOWN and OPEN: that of the arguments at any time
+SHARED = 4.0  # of a comparison: plus the share of BELOW in a sliding motion, see dynamics/sliding.py
 
 
 class FormulaError(ValueError):
@@ -105,18 +113,19 @@ class Program:
 
     def __init__(self):
         self.registers, self.code, self.owners, self.tables = [0.0], [], [], []
-        self._numbers, self._known, self._others = {}, {}, 0
+        self._numbers, self._known, self._surfaces, self._others = {}, {}, {}, 0
+        self.conditions = set()  # registers that are 0 or 1, or a share
 
     @contextlib.contextmanager
     def apart(self):
         """Instructions of their own, executed at other times: they share no result with others. Yields their list."""
-        kept = self.code, self._known, self._others
-        self.code, self._known, self._others = [], {}, self._others + len(self.code)
+        kept = self.code, self._known, self._surfaces, self._others
+        self.code, self._known, self._surfaces, self._others = [], {}, {}, self._others + len(self.code)
         try:
             yield self.code
         finally:
             count = len(self.code)
-            self.code, self._known, self._others = kept
+            self.code, self._known, self._surfaces, self._others = kept
             self._others += count
 
     def new(self, value=0.0):
@@ -147,19 +156,33 @@ class Program:
                     "point of contact takes some 50: omit some, such as all but the feet by links of ground"
                 )
             self._known[key] = to = self.new()
-            self.code.append((operation, to, a, b, self.new() if operation in BRANCHED else c))
+            if operation in COMPARISONS:
+                c = self._surfaces.get((a, b)) or self._surfaces.setdefault((a, b), self.new())
+            elif operation in BRANCHED:
+                c = self.new()
+            if operation in CONDITIONS:
+                self.conditions.add(to)
+            self.code.append((operation, to, a, b, c))
         return self._known[key]
 
+    def compare(self, operation, a, b):
+        """Register of a comparison, 0 or 1."""
+        return self.do(operation, a, b) if a < b else self.do(TURNED[operation], b, a)
+
+    def truth(self, a):
+        """Register of a condition: a itself, or whether it is not zero."""
+        return a if a in self.conditions else self.do(NOT, self.do(EQUAL, a, self.number(0.0)))
+
     def branched(self, results):
-        """[number of an instruction] with branches, on which a set of registers depends."""
-        needed, found = {*results}, []
+        """[number of an instruction] with branches, on which a set of registers depends; the first one of a surface."""
+        needed, found = {*results}, {}
         for i in range(len(self.code) - 1, -1, -1):
             operation, to, *given = self.code[i]
             if to in needed:
                 needed.update(given)
                 if operation in BRANCHED:
-                    found.append(i)
-        return found[::-1]
+                    found[given[2]] = i
+        return sorted(found.values())
 
     def compile(self, text, names, tables=()):
         """Register of the value of a formula.
@@ -232,7 +255,7 @@ class _Walk:
         if isinstance(node.op, ast.USub):
             return self._do(NEGATIVE, value)
         if isinstance(node.op, ast.Not):
-            return self._do(NOT, value)
+            return self._do(NOT, self._program.truth(value))
         raise FormulaError(f"{ast.unparse(node)!r:.60} cannot be used in a formula")
 
     def _BinOp(self, node, depth):
@@ -259,10 +282,8 @@ class _Walk:
         return self._all(AND, found)
 
     def _comparison(self, op, a, b):
-        if isinstance(op, (ast.Lt, ast.Gt)):
-            return self._do(LESS, *((a, b) if isinstance(op, ast.Lt) else (b, a)))
-        if isinstance(op, (ast.LtE, ast.GtE)):
-            return self._do(LESS_EQUAL, *((a, b) if isinstance(op, ast.LtE) else (b, a)))
+        if type(op) in ORDERS:
+            return self._program.compare(ORDERS[type(op)], a, b)
         if isinstance(op, ast.Eq):
             return self._do(EQUAL, a, b)
         if isinstance(op, ast.NotEq):
@@ -270,7 +291,8 @@ class _Walk:
         raise FormulaError("comparisons are < <= > >= == != only")
 
     def _BoolOp(self, node, depth):
-        return self._all(AND if isinstance(node.op, ast.And) else OR, [self.of(each, depth) for each in node.values])
+        values = [self._program.truth(self.of(each, depth)) for each in node.values]
+        return self._all(AND if isinstance(node.op, ast.And) else OR, values)
 
     def _all(self, operation, values):
         found = values[0]
@@ -279,7 +301,8 @@ class _Walk:
         return found
 
     def _IfExp(self, node, depth):
-        return self._do(SELECT, *(self.of(each, depth) for each in (node.test, node.body, node.orelse)))
+        test, *values = (self.of(each, depth) for each in (node.test, node.body, node.orelse))
+        return self._do(SELECT, self._program.truth(test), *values)
 
     def _Call(self, node, depth):
         name = node.func.id if isinstance(node.func, ast.Name) else None
@@ -389,7 +412,7 @@ def present_branch(operation, a, b, begins, points, number):
         return branch_of_segment(_segment(begins, points, number, a))
     if operation == ABS:
         b = 0.0
-    return ABOVE if a > b or operation == LESS and a == b else BELOW
+    return ABOVE if a > b or a == b and (operation == LESS or operation == MORE_EQUAL) else BELOW
 
 
 @kernel
@@ -404,6 +427,8 @@ def distances(operation, a, b, branch, begins, points, number):
         if k == -2:
             return a - points[begins[number + 1] - 1, 0], math.inf
         return a - points[k, 0], points[k + 1, 0] - a
+    if branch > 1.0:
+        return branch - SHARED, 1.0 - (branch - SHARED)
     way = a if operation == ABS else a - b
     return (way if branch > 0.0 else -way), math.inf
 
@@ -411,14 +436,15 @@ def distances(operation, a, b, branch, begins, points, number):
 @kernel
 def _of_branch(operation, a, b, branch):
     """Value of an operation of two arguments, or of abs, in a branch."""
+    if operation == LESS or operation == LESS_EQUAL or operation == MORE or operation == MORE_EQUAL:
+        below = branch - SHARED if branch > 1.0 else (0.0 if branch > 0.0 else 1.0)
+        return below if operation == LESS or operation == LESS_EQUAL else 1.0 - below
     above = branch > 0.0
     if operation == MIN:
         return b if above else a
     if operation == MAX:
         return a if above else b
-    if operation == ABS:
-        return a if above else -a
-    return 0.0 if above else 1.0  # a comparison
+    return a if above else -a  # abs
 
 
 @kernel
@@ -439,7 +465,7 @@ def _value(operation, a, b, c, begins, points, number):
     if operation == COS:
         return math.cos(a) if abs(a) < math.inf else math.nan
     if operation == SELECT:
-        return b if a != 0.0 else c
+        return b if a == 1.0 else (c if a == 0.0 else a * b + (1.0 - a) * c)
     if operation == MIN:
         return _of_branch(operation, a, b, c) if abs(c) >= 1.0 else (b if b < a or b != b else a)
     if operation == MAX:
@@ -448,14 +474,18 @@ def _value(operation, a, b, c, begins, points, number):
         return _of_branch(operation, a, b, c) if abs(c) >= 1.0 else (1.0 if a < b else 0.0)
     if operation == LESS_EQUAL:
         return _of_branch(operation, a, b, c) if abs(c) >= 1.0 else (1.0 if a <= b else 0.0)
+    if operation == MORE:
+        return _of_branch(operation, a, b, c) if abs(c) >= 1.0 else (1.0 if a > b else 0.0)
+    if operation == MORE_EQUAL:
+        return _of_branch(operation, a, b, c) if abs(c) >= 1.0 else (1.0 if a >= b else 0.0)
     if operation == EQUAL:
         return 1.0 if a == b else 0.0
     if operation == AND:
-        return 1.0 if a != 0.0 and b != 0.0 else 0.0
+        return a * b
     if operation == OR:
-        return 1.0 if a != 0.0 or b != 0.0 else 0.0
+        return a + (1.0 - a) * b
     if operation == NOT:
-        return 1.0 if a == 0.0 else 0.0
+        return 1.0 - a
     if operation == ABS:
         return _of_branch(operation, a, b, c) if abs(c) >= 1.0 else abs(a)
     if operation == SQRT:
@@ -505,7 +535,7 @@ def _change(operation, value, a, b, c, da, db, dc, begins, points, number):
     if operation == COS:
         return -math.sin(a) * da if abs(a) < math.inf else math.nan
     if operation == SELECT:
-        return db if a != 0.0 else dc
+        return db if a == 1.0 else (dc if a == 0.0 else a * db + (1.0 - a) * dc)
     if operation == MIN or operation == MAX or operation == ABS:
         if abs(c) >= 1.0:
             return _of_branch(operation, da, db, c)

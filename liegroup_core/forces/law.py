@@ -20,6 +20,9 @@ Where a comparison, min, max, abs or table changes its branch is an event, which
 
 A law with a period is evaluated at exact instants, by instructions of its own (sampled.py). Its signals and outputs are
 numbers that are held in between: they are kept behind the unwrapped angles, before the states.
+
+Both sides of a comparison may lead back to where its two values are equal. The motion then slides along this surface,
+see dynamics/sliding.py; after the held numbers is kept what its branch is: 0, or SHARED plus the share of one side.
 """
 
 import math
@@ -50,8 +53,9 @@ from liegroup_core.lie.vec3 import add3, cross3, dot3, load3, load9, tmatvec3, v
 from . import axis
 from .described import Force
 from .formulas import (
-    LESS,
-    LESS_EQUAL,
+    ABOVE,
+    BELOW,
+    COMPARISONS,
     RESERVED,
     TABLE,
     TIME,
@@ -96,6 +100,8 @@ class Laws(Struct):
     inputs: np.ndarray  # (k,) of INPUT
     code: np.ndarray  # (p, 5) instructions
     kinks: np.ndarray  # (q,) those with branches that can change
+    surfaces: np.ndarray  # (s,) numbers of the kinks along which a motion can slide
+    compared: np.ndarray  # (q,) 1 for comparisons
     tables: np.ndarray  # (t + 1,) first points of the tables
     points: np.ndarray  # (n, 2) their points
     outputs: np.ndarray  # (o,) of OUTPUT
@@ -106,7 +112,7 @@ class Laws(Struct):
     first: int  # number of unwrapped angles
     sampled_inputs: np.ndarray  # of INPUT, of one sampled law after another
     sampled_code: np.ndarray  # (q, 5) instructions, as many
-    start: np.ndarray  # (h + s,) held numbers and states at the start
+    start: np.ndarray  # held numbers, zeros of surfaces, and states at the start
     scales: np.ndarray  # (s,) magnitudes, to which the absolute tolerance of error control refers
     registers: np.ndarray  # (m, 2) at the start: value, derivative
     late: np.ndarray  # (1,) s by which the time of the run is later than that of formulas
@@ -340,6 +346,11 @@ class Law(Force):
         texts = [*self.signals.values(), *(each.rate for each in self.states.values())]
         texts += [text for each in self.outputs for _, text in each.formulas]
         return any(TIME in names_in(text) for text in texts)
+
+    @property
+    def can_slide(self):
+        """Whether a comparison may jump, so that a motion slides along it."""
+        return self.period is None
 
     def on_bodies(self, child_of):
         """Names of the bodies that it reads or acts on, and of laws; child_of : {joint, servo or sensor: body}."""
@@ -576,8 +587,27 @@ def sampled_laws(described, sensors=()):
 
 
 def held_of(described):
-    """Names of the numbers that the sampled laws of a scene hold, as they follow the unwrapped angles."""
-    return [name for each in sampled_laws(described) for name in each.names]
+    """Names of the numbers that sampled laws hold, and of branches of surfaces, as they follow the unwrapped angles."""
+    owners, names = [law.name for law, *_ in _surfaces_of(*_compile_all(described))], []
+    for number, owner in enumerate(owners):
+        names.append(f"{owner}.branches[{number - owners.index(owner)}]")
+    return [name for each in sampled_laws(described) for name in each.names] + names
+
+
+def _results(found):
+    """Registers of outputs and of rates of states of all continuous laws."""
+    results = []
+    for law, compiled in found:
+        if law.period is None:
+            results += [*chain(*compiled.outputs), *compiled.rates]
+    return results
+
+
+def _surfaces_of(program, _, found):
+    """[(law, number of a kink)] of the comparisons of laws along which a motion can slide."""
+    laws = {law.name: law for law, _ in found}
+    rows = [(laws[program.owners[i]], k, program.code[i][0]) for k, i in enumerate(program.branched(_results(found)))]
+    return [(law, k) for law, k, operation in rows if operation in COMPARISONS and law.can_slide]
 
 
 def make_laws(described, index, ends, angles, slides, first, sensors=()):
@@ -587,7 +617,9 @@ def make_laws(described, index, ends, angles, slides, first, sensors=()):
     slides : names of the joints whose coordinate is a displacement
     """
     program, signals, found = _compile_all(described)
-    outputs, states, held, start, sampled_code, results, shown = [], [], [], [], [], [], []
+    outputs, states, held, start, sampled_code, shown = [], [], [], [], [], []
+    results, surfaces = _results(found), [k for _, k in _surfaces_of(program, signals, found)]
+    kinks = program.branched(results)
     reads = {False: [], True: []}  # of continuous laws, and of sampled ones
     waiting = iter(sampled_laws(described))
     sensors, joints = {each.name: each for each in sensors}, {}
@@ -604,7 +636,6 @@ def make_laws(described, index, ends, angles, slides, first, sensors=()):
         inputs = reads[law.period is not None]
         if law.period is None:
             states += zip(compiled.states.values(), compiled.rates)
-            results += [*chain(*compiled.outputs), *compiled.rates]
             shown += compiled.signals.values()
         else:
             own, late = compiled.sampled, next(waiting)
@@ -634,7 +665,9 @@ def make_laws(described, index, ends, angles, slides, first, sensors=()):
         units=np.array(list(joints.values()), dtype=np.int64).reshape(-1, 2),
         inputs=inputs,
         code=np.array(program.code, dtype=np.int64).reshape(-1, 5),
-        kinks=np.array(program.branched({*results}), dtype=np.int64),
+        kinks=np.array(kinks, dtype=np.int64),
+        surfaces=np.array(surfaces, dtype=np.int64),
+        compared=np.array([program.code[i][0] in COMPARISONS for i in kinks], dtype=np.int64),
         tables=begins,
         points=points,
         outputs=np.array(outputs, dtype=OUTPUT),
@@ -645,7 +678,7 @@ def make_laws(described, index, ends, angles, slides, first, sensors=()):
         first=first,
         sampled_inputs=sampled_inputs,
         sampled_code=np.array(sampled_code, dtype=np.int64).reshape(-1, 5),
-        start=np.array([*start, *(each.start for _, each in states_of(described))], dtype=float),
+        start=np.array([*start, *[0.0] * len(surfaces), *(each.start for _, each in states_of(described))]),
         scales=np.array([each.scale for _, each in states_of(described)]),
         registers=registers,
         late=np.zeros(1),
@@ -658,7 +691,7 @@ def next_branch(laws, branch, k, above):
     """Branch of kink k beyond the lower or the upper end of a branch."""
     i = laws.kinks[k]
     if laws.code[i, 0] != TABLE:
-        return -branch
+        return -branch if branch <= 1.0 else (BELOW if above else ABOVE)
     number = laws.code[i, 3]
     segments = laws.tables[number + 1] - laws.tables[number] - 1
     place = branch - branch_of_segment(0)
@@ -673,12 +706,22 @@ def next_branch(laws, branch, k, above):
 
 
 @kernel
+def is_shared(laws, branch, k):
+    """Whether a branch of kink k is that of a sliding motion."""
+    return laws.compared[k] == 1 and branch > 1.0
+
+
+@kernel
 def _read(laws, angle, pose, twist, registers):
     """Write the time, the values of all inputs and the numbers that are held to their registers."""
     registers[LAW_TIME, 0] = registers[0, 0] - laws.late[0]
     for j in range(len(laws.held)):
         if laws.held[j] >= 0:
             registers[laws.held[j], 0] = angle[laws.first + j]
+    for j in range(len(laws.surfaces)):
+        at = laws.code[laws.kinks[laws.surfaces[j]], 4]
+        if registers[at, 0] == UNKNOWN:
+            registers[at, 0] = angle[laws.first + len(laws.held) + j]
     for e in range(len(laws.axes)):
         if laws.units[e, 1] == 1:
             axis.keep_unit(axis.unit_wrenches(laws.axes[e], pose), registers, laws.units[e, 0])
@@ -768,7 +811,7 @@ def branch_matters(laws, branches, registers, k, branch, force, span, part, leas
     i = laws.kinks[k]
     registers[laws.code[i, 4], 0] = branch
     _evaluate(laws, registers)
-    if laws.code[i, 0] == LESS or laws.code[i, 0] == LESS_EQUAL:
+    if laws.compared[k] == 1:
         part = 1.0
     found = 0
     for e in range(len(laws.outputs)):
@@ -780,6 +823,11 @@ def branch_matters(laws, branches, registers, k, branch, force, span, part, leas
         to = laws.states[s, 1]
         if part * span * _change_to(registers[to, 0], registers[to, 1]) > least * laws.scales[s]:
             found = 1
+    for e in range(len(laws.outputs)):  # column 1 has derivatives: those of parameters are zero
+        for c in range(6):
+            registers[laws.outputs[e]["registers"][c], 1] = 0.0
+    for s in range(len(laws.states)):
+        registers[laws.states[s, 1], 1] = 0.0
     set_branches(laws, branches, registers)
     _evaluate(laws, registers)
     if _open_branches(laws, registers, 0):
@@ -902,6 +950,31 @@ def measure_changes(laws, angle, pose, twist, moves, rates, registers):
     _differentiate(laws, registers)
     if _open_branches(laws, registers, 1):
         _differentiate(laws, registers)
+
+
+@kernel
+def measure_slopes(laws, angle, pose, twist, rates, registers, out):
+    """Rates of a - b of all surfaces of comparisons of a and b, to out (s,).
+
+    rates (n, 6) : rates of the twists;  registers : values, and the rates of the states
+    """
+    registers[0, 1] = registers[LAW_TIME, 1] = 1.0
+    measure_changes(laws, angle, pose, twist, twist, rates, registers)
+    registers[0, 1] = registers[LAW_TIME, 1] = 0.0
+    for j in range(len(laws.surfaces)):
+        i = laws.kinks[laws.surfaces[j]]
+        out[j] = registers[laws.code[i, 2], 1] - registers[laws.code[i, 3], 1]
+
+
+@kernel
+def enter_numbers(laws, time, angle, registers):
+    """Write the time and the states of a state that was read to their registers, for `measure`."""
+    registers[0, 0] = time
+    first = len(angle) - len(laws.states)
+    for s in range(len(laws.states)):
+        registers[laws.states[s, 0], 0] = angle[first + s]
+    for j in range(len(laws.surfaces)):
+        registers[laws.code[laws.kinks[laws.surfaces[j]], 4], 0] = UNKNOWN
 
 
 @kernel

@@ -276,6 +276,14 @@ class RelativeWork(Struct):
     loads: np.ndarray = shaped("switches", 4)
     iteration: np.ndarray = shaped(3)  # 1 if the loads are given; 1 if they did not converge; scratch
     branches: np.ndarray = shaped("branches")  # of the kinks of laws, with error control: forces/formulas.py
+    # Of sliding motions, see dynamics/sliding.py: rates of the twists of bodies and of surfaces; the shares, rates at the
+    # shares before, and sums of a row; changes of the rates by shares.
+    body_rates: np.ndarray = shaped("sliding", 6)
+    surface_rates: np.ndarray = shaped("surfaces")
+    shares: np.ndarray = shaped("surfaces", 3)
+    share_matrix: np.ndarray = shaped("surfaces", "surfaces")
+    share_pivots: np.ndarray
+    kept_branches: np.ndarray = shaped("surfaces")  # while those of a state in a substep are computed
     changed: np.ndarray = shaped(1)  # 1 if one of them changed at the end of the substep, without an event
     least: np.ndarray = shaped(1)  # a smaller effect of a change, relative to all forces and to states, is no event
     guards: np.ndarray = shaped("guards", 5)  # distance of each switch, then of each branch, to its next events
@@ -315,6 +323,7 @@ def make_relative_work(model, work, stages, kinks=0):
 
     kinks : number of those of laws whose branches hold within a substep
     """
+    surfaces = len(model.space.forces.laws.surfaces) if kinks else 0
     n, links, rows = len(model.bodies), len(model.links), len(model.row_residual)
     freedoms = int(model.links["freedoms"].sum())
     blocks = stages + 1 + FURTHER
@@ -328,6 +337,8 @@ def make_relative_work(model, work, stages, kinks=0):
         held=freedoms + rows,
         switches=len(model.switches),
         branches=kinks,
+        surfaces=surfaces,
+        sliding=n if surfaces else 0,
         guards=len(model.switches) + kinks,
         slopes=blocks * freedoms,
         errors=2 * links,
@@ -342,6 +353,7 @@ def make_relative_work(model, work, stages, kinks=0):
     given = {name: getattr(work, name) for name in shared}
     rows = {"child_jacobian": model.child_jacobian.copy(), "factors": model.coupling_terms["factor"].copy()}
     rows |= {name: np.zeros_like(work.angle) for name in ("lead_angle", "kept_angle")}
+    rows["share_pivots"] = np.zeros(surfaces, dtype=np.int64)
     rows |= {f"lead_{name}": np.zeros_like(getattr(work, name)) for name in ("targets", "motions")}
     return RelativeWork.zeros(sizes, space=work, **rows, **given)
 

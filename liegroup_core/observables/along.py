@@ -31,10 +31,7 @@ def _along(model, angle, pose, twist, energy_out, parts_out, residual_out, angle
 @kernel
 def _powers(forces, angle, targets, registers, times, pose, twist, known, out):
     for k in range(len(pose)):
-        registers[0, 0] = times[k]
-        first = angle.shape[1] - len(forces.laws.states)
-        for s in range(len(forces.laws.states)):
-            registers[forces.laws.states[s, 0], 0] = angle[k, first + s]
+        law.enter_numbers(forces.laws, times[k], angle[k], registers)
         law.measure(forces.laws, angle[k], pose[k], twist[k], registers)
         found = kinds.powers(forces, angle[k], targets, registers, pose[k], twist[k])
         out[k, 0], out[k, 1], out[k, 2], out[k, 3], out[k, 4] = found

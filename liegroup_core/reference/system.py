@@ -77,7 +77,8 @@ def build_system(scene, pose, angles=None):
     )
     states = [each.start for law in laws_of(scene) if law.period is None for each in law.states.values()]
     if angles is not None and len(angles) > len(scene.unwrapped):
-        laws.held[:], states = np.split(angles[len(scene.unwrapped) :], [len(laws.held)])
+        numbers = angles[len(scene.unwrapped) :]
+        laws.held[:], states = numbers[: len(laws.held)], numbers[len(numbers) - len(states) :]
     return system, np.append(start, states), sampled
 
 

@@ -17,6 +17,7 @@ from liegroup_core.forces import kinds
 from liegroup_core.forces.contact import WORK
 from liegroup_core.forces.external import acts, power
 from liegroup_core.forces.instants import StepGrid
+from liegroup_core.forces.law import states_of
 from liegroup_core.forces.sampled import Sampling
 from liegroup_core.observables.along import STORES, powers
 from liegroup_sim_ros.messages.joint_modes import ENERGY
@@ -40,8 +41,9 @@ class Balance:
         forces, self._sampling = layout.model.forces, Sampling(layout, self._grid)
         self._held = slice(len(forces.counted), len(forces.counted) + len(forces.laws.held))
         names = [f"{force.name}.{WORK}" for force in layout.scene.forces if force.type == "contact"]
-        self._known = [layout.states.index(name) for name in names]
-        self._first_state = len(forces.counted) + len(forces.laws.held)
+        states = [name for name, _ in states_of(layout.scene.forces)]
+        self._known = [states.index(name) for name in names]
+        self._first_state = kinds.count(forces) - len(states)
         self._has_forces = any(not force.is_conservative for force in layout.scene.forces)
         self._has_joints = bool(layout.motions or layout.switches)
         self._every = -(-expected // MOST_POINTS)

@@ -66,22 +66,22 @@ def attempt(model, work, scheme, size, start, since, first, pose, twist, externa
 
 
 @kernel
-def accept(model, work, pose, twist):
+def accept(model, work, pose, twist, external):
     """The end of a substep, at the stage, becomes the state."""
-    count_turns(model, work)
+    count_turns(model, work, external)
     copy_state(work.stage_pose, work.stage_twist, pose, twist)
     work.report[LARGEST_TURN] = max(work.report[LARGEST_TURN], work.report[STEP_TURN])
 
 
 @kernel
-def _accept_controlled(model, work, scheme, control, pose, twist):
+def _accept_controlled(model, work, scheme, control, pose, twist, external):
     """As `accept`; returns 1 if the derivative there is that of stage 0 of the next substep."""
     # First same as last: the end of a substep is stage 0 of the next one, where Psi is zero. Projection changes the
     # end, so that it must be evaluated again.
     store_slopes(model, work, scheme, 0)
     if control.coarse[0] > 0.0:
         _coarsen(control.coarse[0], work.stage_pose, work.stage_twist)
-    accept(model, work, pose, twist)
+    accept(model, work, pose, twist, external)
     changed, work.changed[0] = work.changed[0] != 0.0, 0.0
     return 0 if model.projects or control.coarse[0] > 0.0 or changed or is_timed(model, work) else 1
 
@@ -119,7 +119,7 @@ def advance(model, work, scheme, h, steps, pose_in, twist_in, external_in):
         if status == OK and model.projects:
             status = close(model, work, False)
         if status == OK:
-            accept(model, work, pose, twist)
+            accept(model, work, pose, twist, external)
             done += 1
     if done > 0 or status == EVENT:
         leave(model, work, pose, twist, pose_in, twist_in)
@@ -162,7 +162,7 @@ def advance_controlled(model, work, scheme, h, steps, pose_in, twist_in, externa
             if status == OK and model.projects:
                 status = close(model, work, True)
             if status == OK:
-                first = _accept_controlled(model, work, scheme, control, pose, twist)
+                first = _accept_controlled(model, work, scheme, control, pose, twist, external)
                 remaining, planned = remaining - size if count > 1 else 0.0, planned - 1
         if status == OK:
             done += 1
@@ -236,7 +236,7 @@ def reach(model, work, scheme, steps, pose_in, twist_in, external_in, control):
         return 0, status
     if inside:
         set_turns(work, work.kept_angle, work.kept_coordinates)
-        count_turns(model, work)
+        count_turns(model, work, external)
     else:
         begin(model, work, pose, twist)
     place(model, work, pose_in, twist_in)
@@ -253,7 +253,7 @@ def inside(model, work, scheme, pose_in, twist_in, external_in, control):
     elif status == OK:
         status = _go_inside(model, work, scheme, control, external)
         set_turns(work, work.kept_angle, work.kept_coordinates)
-        count_turns(model, work)
+        count_turns(model, work, external)
     if status == OK:
         place(model, work, borrowed(pose_in), borrowed(twist_in))
     return status
@@ -302,7 +302,7 @@ def _go_ahead(model, work, scheme, steps, pose, twist, external, control):
                 implicit.keep_stages(scheme, work)
             else:
                 keep_slopes(work)
-        first = _accept_controlled(model, work, scheme, control, pose, twist)
+        first = _accept_controlled(model, work, scheme, control, pose, twist, external)
         before = control.size[0]
         go_on(work, control, size, at_limit)
         remaining = time_left(work, control)
@@ -351,4 +351,5 @@ def _go_inside(model, work, scheme, control, external):
             status = explicit.substep(scheme, model, work, size, start, 0.0, inside, inside + 1, pose, external)
     if status == OK and model.projects:
         status = close(model, work, True)
+    work.clock.now[0] = start + fraction(work, control) * size
     return status

@@ -91,7 +91,7 @@ def passage(
                 set_turns(work, work.start_angle, work.start_coordinates)
             if status != OK:
                 return k, status
-            accept(model, work, pose, twist)
+            accept(model, work, pose, twist, external)
         leave(model, work, pose, twist, pose_now, twist_now)
     last = len(counts)
     if places[last] >= 0:

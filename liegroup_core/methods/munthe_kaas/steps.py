@@ -13,6 +13,7 @@ from liegroup_core.dynamics.algebra import is_direct
 from liegroup_core.dynamics.coordinates import displace, normalise
 from liegroup_core.dynamics.loads import UNSETTLED
 from liegroup_core.dynamics.loops import project
+from liegroup_core.dynamics.sliding import count_slides
 from liegroup_core.dynamics.state import begin as begin
 from liegroup_core.dynamics.state import count_turns as keep_angles
 from liegroup_core.dynamics.state import enter as enter
@@ -142,10 +143,21 @@ def close(model, work, controlled):
 
 
 @kernel
-def count_turns(model, work):
-    """Unwrap the angles of torsional springs and switches at the end of a step."""
+def count_turns(model, work, external):
+    """Unwrap the angles of torsional springs and switches at the end of a step, and keep what laws hold."""
     keep_angles(model, work)
     count_coordinates(model, work)
+    if len(work.shares) == 0:
+        return
+    laws, sliding = model.space.forces.laws, count_slides(model, work) > 0
+    for j in range(len(work.shares)):
+        work.kept_branches[j] = work.branches[laws.surfaces[j]]
+    if sliding:
+        accelerations(model, work, external)
+    for j in range(len(work.shares)):
+        k = laws.surfaces[j]
+        work.angle[laws.first + len(laws.held) + j] = work.branches[k] if work.branches[k] > 1.0 else 0.0
+        work.branches[k] = work.kept_branches[j]
 
 
 @kernel
