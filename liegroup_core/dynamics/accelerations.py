@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Index-1 accelerations in relative coordinates, with applied wrenches, forces and loops."""
 
+import math
+
 from liegroup_core.compiling import kernel, shared, subroutine
 from liegroup_core.forces.external import set_external_wrenches
 from liegroup_core.forces.kinds import add_wrenches
@@ -17,14 +19,15 @@ from .matrix import AT, NEAR
 from .residuals import add_multipliers, gather_residual, set_free_residual, set_present_residual, set_residual
 from .singular_poses import SIDES, WEIGHTS, add_aside, begin_aside, end_aside, go_aside
 from .sliding import (
-    NEWTON,
+    ENOUGH,
+    PRECISE,
     add_share,
-    are_off,
     begin_shares,
     count_slides,
     factorise_shares,
     improve_shares,
     keep_rates,
+    largest_rate,
     open_surfaces,
     set_column,
     set_surface_rates,
@@ -171,13 +174,15 @@ def _accelerations_on_surfaces(model, work, external):
             add_share(model, work, j, -1.0)
     if found >= 0:
         return found
-    left = NEWTON if factorise_shares(model, work) else 0
+    before, off = math.inf, math.inf
+    going = factorise_shares(model, work)
     take_kept_rates(work)
-    while left > 0 and found < 0:
+    while going and found < 0:
         improve_shares(model, work)
         found = _rates_of_branches(model, work, external)
-        left = left - 1 if are_off(model, work) else -1
-    if left == 0 and found < 0:
+        before, off = off, largest_rate(model, work)
+        going = ENOUGH < off < 0.5 * before
+    if found < 0 and not off <= PRECISE:
         open_surfaces(model, work)
         found = _accelerations_of_branches(model, work, external)
     return found

@@ -2,14 +2,14 @@
 """Sliding motions along surfaces of laws: both sides of a comparison a > b lead back to a = b.
 
 Filippov's solution: the motion stays on the surface with a share s of the forces below it and 1 - s of those above,
-so that the rate of a - b is zero (Filippov, Differential Equations with Discontinuous Righthand Sides, 1988, section 4).
+so that the rate of a - b is zero (Filippov, Differential Equations with Discontinuous Righthand Sides, 1988).
 The rates of all surfaces are affine in their shares if the forces are; else Newton's method finds the shares.
 The motion leaves the surface where a share is 0 or 1, which is a guard of events/crossings.py.
 """
 
 from liegroup_core.compiling import kernel, shared
 from liegroup_core.forces.formulas import OPEN, SHARED
-from liegroup_core.forces.law import measure_slopes, set_branches
+from liegroup_core.forces.law import measure_slopes
 from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.se2 import turn_back2
 from liegroup_core.lie.se3 import se3_Ad_inverse
@@ -18,8 +18,8 @@ from liegroup_core.methods.dense_lu import lu_factorise, lu_solve
 
 from .algebra import choice, load, spatial
 
-NEWTON = 8  # iterations; affine rates take one
-PRECISE = 1e-10  # of a rate on the surface, relative to the sum of what the shares add
+# Newton's method with one matrix goes on while the rates decrease by half, down to ENOUGH; affine rates take one step.
+ENOUGH, PRECISE = 1e-13, 1e-8  # the largest that are accepted
 
 
 @kernel
@@ -138,12 +138,13 @@ def improve_shares(model, work):
 
 
 @kernel
-def are_off(model, work):
-    """Whether a rate along a surface is not yet zero."""
-    off = False
+def largest_rate(model, work):
+    """Largest rate of a surface along which the motion slides, relative to the sum of its changes by all shares."""
+    largest = 0.0
     for j in range(len(work.shares)):
-        off = off or slides(model, work, j) and not abs(work.surface_rates[j]) <= PRECISE * work.shares[j, 2]
-    return off
+        if slides(model, work, j):
+            largest = max(largest, abs(work.surface_rates[j]) / work.shares[j, 2])
+    return largest
 
 
 @kernel

@@ -134,9 +134,9 @@ def begin_at_end(work):
 
 @kernel
 def _gives_way(weights, course, k, c, start):
-    """(fraction of the step at which guard c, LEAST or MOST, of switch k may be below `start`, guard there), or NONE, 0.
+    """(fraction of the step at which guard c, LEAST or MOST, of switch k may be negative, guard there), or NONE, 0.
 
-    The guard is relative to `start`.
+    start : of the guard, which is relative to it
     """
     place, least = NONE, 0.0
     if not course[END, k, c - LEAST] < math.inf:

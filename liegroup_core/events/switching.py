@@ -321,7 +321,8 @@ class Switching(EventTimes):
         if len(self._laws.surfaces):
             self._keep_shares()
         if status == OK and self.instants is not None:
-            here = self.present_modes(), self.events[log:], work.branches.copy()
+            sides = np.where((self._laws.compared == 1) & (work.branches > 1.0), SHARED, work.branches)
+            here = self.present_modes(), self.events[log:], sides
             self.instants.append(JointInstant(time, *here))
         return status
 

@@ -9,6 +9,7 @@ are weighted rows. Starts are eliminated (chain.py), so that the rest has as man
 """
 
 import os
+import threading
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
@@ -114,6 +115,14 @@ def covariance(columns):
     return found
 
 
+_thread = threading.local()
+
+
+def _begin_worker():
+    """Note that this thread works for a Fit."""
+    _thread.works = True
+
+
 class Fit:
     """Least squares of a log.
 
@@ -130,7 +139,7 @@ class Fit:
         q = len(runs.numbers)
         self.runs, self.deviation, self.free = runs, deviation, np.asarray(free, dtype=bool)
         self.workers = workers or os.cpu_count() or 1
-        self._team = ThreadPoolExecutor(self.workers) if self.workers > 1 else None
+        self._team = ThreadPoolExecutor(self.workers, initializer=_begin_worker) if self.workers > 1 else None
         self.limits = np.tile([-np.inf, np.inf], (q, 1)) if limits is None else np.asarray(limits, dtype=float)
         self.priors = np.tile([0.0, np.inf], (q, 1)) if priors is None else np.asarray(priors, dtype=float)
         late = np.tile([0.0, np.inf], (len(self.free), 1)) if late is None else late
@@ -301,7 +310,7 @@ class Fit:
 
     def tasks(self, function, items):
         """Results of function(item) in the order of the items, in all threads: compiled runs let others run."""
-        if self._team is None:
+        if self._team is None or getattr(_thread, "works", False):  # a task that waited for others would block them
             return [function(item) for item in items]
         return list(self._team.map(function, items))
 

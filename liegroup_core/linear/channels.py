@@ -170,6 +170,26 @@ class OutputChannels(Columns):
         return apart(values, base, self.angles)
 
 
+class StateChannels(OutputChannels):
+    """All that a state has: poses and twists of all bodies, and states of laws, also of contacts."""
+
+    def __init__(self, probe, names=("bodies", "twists"), turns=None):
+        super().__init__(probe, names, turns)
+        self._states = len(probe.layout.model.forces.laws.states)
+
+    def __len__(self):
+        return len(self.names) + self._states
+
+    def of(self, sample):
+        """(p,) numbers of a Sample."""
+        return np.concatenate([super().of(sample), sample.angles[len(sample.angles) - self._states :]])
+
+    @cached_property
+    def angles(self):
+        """(p,) no number is an angle."""
+        return np.zeros(len(self), bool)
+
+
 def apart(values, base, angles):
     """Differences (..., k) of outputs, of those that are angles (k,) modulo 2 pi."""
     found = values - base

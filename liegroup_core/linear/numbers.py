@@ -9,7 +9,6 @@ from liegroup_core.scene.load import scene_as_written
 from liegroup_core.scene.parameters import changed, parameters, path_of
 from liegroup_core.simulation import Simulation
 
-from .channels import OutputChannels
 from .differences import ROUND_OFF
 from .probe import Probe
 
@@ -111,7 +110,7 @@ class Sides:
 
         def values(_, near):
             near.follow(probe)
-            own = OutputChannels(near, outputs.names, outputs.turns)
+            own = type(outputs)(near, outputs.names, outputs.turns)
             return outputs.apart(own.of(near.neighbour()), base)
 
         return _derivatives(self._values(values))

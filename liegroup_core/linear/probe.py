@@ -165,6 +165,19 @@ def refuse_sampled(described):
             )
 
 
+def refuse_sliding(layout, sample):
+    """Raise SimulationError for a state that slides along a comparison of a law: its share has no derivative here."""
+    laws = layout.model.forces.laws
+    first = laws.first + len(laws.held)
+    for k, branch in enumerate(sample.angles[first : first + len(laws.surfaces)]):
+        if branch > 1.0:
+            law = layout.states[len(laws.held) + k].partition(".")[0]
+            raise SimulationError(
+                f"the motion slides along a comparison of the law {law} at t = {sample.time:.9g} s, and has no "
+                "derivative there: choose another time, or make the jump smooth, as 1 if v > 0 else -1 by tanh(v/0.01)"
+            )
+
+
 class _Still(Engine):
     """Engine that takes no step: kernels of steps and samples are not needed."""
 
@@ -198,6 +211,7 @@ class Probe:
 
     def take(self, sample):
         """Go to the state of a Sample of the simulation, with the inputs of its time."""
+        refuse_sliding(self.layout, sample)
         self.base, engine = sample, self._engine
         if engine.layout.switches:
             set_modes(self._model, self._work, sample.switching)
@@ -306,13 +320,18 @@ class Probe:
     def go_to(self, y):
         """Move the state to a neighbour y (f, 2), projected onto the cut joints. Raises SimulationError."""
         rates, self.pose, self.twist = self.closed(y)
-        self._work.angle[:] = self.layout.angles(self.pose, self._work.angle)
-        self._set_states(self._work.angle, rates[self._model.links["freedom"][self._model.law_links]])
+        self._work.angle[:] = self.with_states(self.layout.angles(self.pose, self._work.angle), rates)
         self._work.known[0] = 0.0
 
     def _set_states(self, angles, states):
         """Set the states of laws, which follow the unwrapped angles."""
         angles[len(angles) - len(states) :] = states
+
+    def with_states(self, angles, rates):
+        """Unwrapped angles (k,) followed by the states of laws among the rates (f,) of a neighbour."""
+        found = angles.copy()
+        self._set_states(found, rates[self._model.links["freedom"][self._model.law_links]])
+        return found
 
     def beside(self, y):
         """Rates, poses and twists as from `closed`, where stops and friction hold nothing."""

@@ -25,7 +25,7 @@ from liegroup_core.forces.instants import AFTER
 from liegroup_core.settings import of_engine
 from liegroup_core.simulation import Simulation
 
-from .channels import OutputChannels
+from .channels import StateChannels
 from .coordinates import ANGLE, Coordinates, scales_of
 from .differences import derivative
 from .numbers import Sides
@@ -38,7 +38,6 @@ MARGIN = 0.25  # of a step, between an event and the ends of the steps that cros
 TIGHT = 1e-13  # tolerances of the run and of neighbouring runs
 NEAR = 1e-3  # rad, and of the mechanism's size: first distance of neighbouring runs
 FEW = 1e-12  # relative size of a singular value that is round-off
-BODIES = ("bodies", "twists")
 # Of Lobatto: at the ends, too, so that no jump of A falls between two intervals.
 POINTS = 10
 NODES = 0.5 + 0.5 * np.array([-1.0, *legendre.Legendre.basis(POINTS - 1).deriv().roots(), 1.0])
@@ -73,7 +72,7 @@ class Variations:
         self._first, self._count = len(self.columns), 0 if numbers is None else len(numbers)
         self.doubt = self.columns.copy()
         if self._count:
-            outputs = OutputChannels(self.probe, BODIES)
+            outputs = StateChannels(self.probe)
             shown, error = self._sides.at_start(outputs)
             own, doubt = self._from_bodies(self.probe, outputs, shown, error)
             self.columns, self.doubt = np.concatenate([self.columns, own]), np.concatenate([self.doubt, doubt])
@@ -253,18 +252,19 @@ class Variations:
         probes = [Probe(self._near, in_space=True) for _ in times]
         for one, time in zip(probes, times):
             one.take(samples[time])
-        outputs = [OutputChannels(one, BODIES) for one in probes]
+        outputs = [StateChannels(one) for one in probes]
 
         base = np.array([seen.of(samples[time]) for time, seen in zip(times, outputs)])
 
         def arrivals(other, beside, way, s):
-            """(k, 12 n) poses and twists of the run that starts s ways beside; NaN between its and our event."""
+            """(k, p) StateChannels of the run that starts s ways beside; NaN between its and our event."""
             if beside is not probe:
                 beside.follow(probe)
-            _, *state = beside.beside(s * way)
+            rates, *state = beside.beside(s * way)
+            own = beside.with_states(angles, rates)
             commands = other.inputs.commands
             other.drain_instants()
-            other.set_state(*state, start.parts["steps"], angles, near)
+            other.set_state(*state, start.parts["steps"], own, near)
             other.inputs.commands = commands
             met = []
             for time, seen in zip(times, outputs):
@@ -287,7 +287,7 @@ class Variations:
                 return np.zeros((2, len(times), len(outputs[0])))
 
         def carried(error, size):
-            """(k, 12 n) what an error before the events is after them."""
+            """(k, p) what an error before the events is after them."""
             if size == 0.0:
                 return np.zeros((len(times), len(outputs[0])))
             h = NEAR / size
@@ -342,7 +342,7 @@ class Variations:
         return np.reshape([part for part, _ in parts], (2 * f, len(outputs)))
 
     def _from_bodies(self, probe, outputs, shown, error):
-        """Columns (c, f, 2) whose changes of all poses and twists are (c, 12 n), and those with the errors of these.
+        """Columns (c, f, 2) whose changes of all StateChannels are (c, p), and those with the errors of these.
 
         Those of numbers are the last.
         """

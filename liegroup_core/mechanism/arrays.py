@@ -276,7 +276,7 @@ class RelativeWork(Struct):
     loads: np.ndarray = shaped("switches", 4)
     iteration: np.ndarray = shaped(3)  # 1 if the loads are given; 1 if they did not converge; scratch
     branches: np.ndarray = shaped("branches")  # of the kinks of laws, with error control: forces/formulas.py
-    # Of sliding motions, see dynamics/sliding.py: rates of the twists of bodies and of surfaces; the shares, rates at the
+    # Of sliding motions, see dynamics/sliding.py: rates of the twists of bodies and of surfaces; shares, rates at the
     # shares before, and sums of a row; changes of the rates by shares.
     body_rates: np.ndarray = shaped("sliding", 6)
     surface_rates: np.ndarray = shaped("surfaces")

@@ -45,9 +45,9 @@ forces:
             {body: tip, force: [-x, 0.1*sin(30*t), i], axes: world}]
 - {name: hold, type: servo, joint: hinge, stiffness: 2, damping: 0.1}
 """
-# The same without the stop, with jumps of an effort that leads back to one of them.
+# The same without the stop, with friction that holds the hinge at times.
 KINKED = CONTROLLED.replace(",\n   limits: {lower: -0.3, upper: 0.95, restitution: 0.5}", "").replace(
-    "effort: a}", 'effort: "a - 0.3*(1 if w > 0 else -1) - 4*max(q - 0.4, 0)"}'
+    "effort: a}", 'effort: "a - 3*(1 if w > 0 else -1) - 4*max(q - 0.4, 0)"}'
 )
 # Sampled laws with periods that steps do not divide, delays and states, and a continuous one that reads their signals.
 SENSORS = """sensors:

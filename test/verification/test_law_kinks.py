@@ -5,11 +5,12 @@ import math
 
 import numpy as np
 import pytest
+import scipy
 from numpy.testing import assert_allclose
 
-from liegroup_core import Simulation
-from liegroup_core.forces.formulas import OPEN
+from liegroup_core import Simulation, SimulationError, load_scene
 from liegroup_core.linear import sensitivities
+from liegroup_core.linear.linear_system import linearise
 from liegroup_core.scene.load import scene_from_text
 
 START = 0.3  # m, of the cart of 1 kg: its acceleration is the effort
@@ -120,11 +121,127 @@ def test_an_impact_changes_the_branch_of_a_law(settings):
     assert [event.kind for event in simulation.drain_events()] == ["impact"]
 
 
-def test_where_both_sides_of_a_jump_lead_back_the_branch_is_open():
-    """A sign of the rate as friction: it stops after 1 s, and stays there within the accuracy."""
-    simulation = Simulation(cart("-1 if v > 0 else 1", velocity=1.0), accuracy=1e-3, quiet=True)
-    assert np.abs(np.subtract(end_of(simulation, 1.01), (START + 0.5, 0.0))).max() <= 1e-3
-    assert simulation._integrator.mechanism[1].branches[0] == OPEN
+def decayed(time):
+    """(q, v) of the cart that an effort of 5 N drives to v = -2 q, which holds from then on."""
+    at = (-5.0 + math.sqrt(25.0 + 40.0 * START)) / 10.0  # of -5 t + 2 (START - 2.5 t^2) = 0
+    q = (START - 2.5 * at**2) * math.exp(-2.0 * (time - at))
+    return q, -2.0 * q
+
+
+def dragged(time):
+    """(q, v) of the cart under dry friction of 1 N, which a spring of 100 N/m pulls by its end at 0.1 m/s."""
+    since = max(time - 0.1, 0.0)
+    return START + 0.1 * since - 0.01 * math.sin(10.0 * since), 0.1 - 0.1 * math.cos(10.0 * since)
+
+
+def filled(time):
+    """(q, v) of the cart whose effort is a state with the rate 0.5 cos t, drawn to zero by 1."""
+    at = scipy.optimize.brentq(lambda t: 0.3 + 0.5 * math.sin(t) - t, 0.1, 1.0)
+    v = 0.3 * at + 0.5 * (1.0 - math.cos(at)) - 0.5 * at**2
+    q = 0.15 * at**2 + 0.5 * (at - math.sin(at)) - at**3 / 6.0
+    return START + q + v * (time - at), v
+
+
+SIDE = "((v > 0) - (v < 0))"
+# {name: (keys of `cart`, closed form, effort at 2 s)} of motions along a surface whose both sides lead back.
+SLIDES = {
+    "stops": ({"effort": "-1 if v > 0 else 1", "velocity": 1.0}, lambda t: (START + 0.5, 0.0), 0.0),
+    "breaks away": ({"effort": f"t/2 - {SIDE}/2"}, lambda t: (START + (t - 1) ** 3 / 12, (t - 1) ** 2 / 4), 0.5),
+    "stays": ({"effort": f"0.3*t - {SIDE}*exp(-v**2)"}, lambda t: (START, 0.0), 0.0),
+    "sliding mode": ({"effort": "5 if not v + 2*q > 0 else -5"}, decayed, 4.0 * decayed(2.0)[0]),
+    "both": ({"effort": "-5 if v + 2*q > 0 and v < 99 or q > 99 else 5"}, decayed, 4.0 * decayed(2.0)[0]),
+    "stick and slip": ({"effort": f"100*(0.3 + 0.1*t - q) - {SIDE}"}, dragged, math.sin(19.0)),
+    "not affine": ({"effort": f"0.3 - 3*{SIDE} + {SIDE}**2"}, lambda t: (START, 0.0), 0.0),
+    "state": (
+        {"effort": "x", "states": {"x": {"rate": "0.5*cos(t) - ((x > 0) - (x < 0))", "start": 0.3}}}, filled, 0.0,
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SLIDES)
+@pytest.mark.parametrize("group", ["auto", "se3"])
+def test_motions_slide_where_both_sides_lead_back(name, group):
+    """To an accuracy, and the effort is that on the surface."""
+    law, known, effort = SLIDES[name]
+    for accuracy in (1e-4, 1e-9):
+        simulation = Simulation(cart(**law), accuracy=accuracy, group=group, quiet=True)
+        assert np.abs(np.subtract(end_of(simulation, 2.0), known(2.0))).max() <= accuracy
+        assert simulation.largest_error <= accuracy
+        assert simulation.sample().law_efforts["rail"] == pytest.approx(effort, abs=accuracy)
+        assert simulation._switching.count + simulation._switching.tally.sum() < 10
+
+
+@pytest.mark.parametrize("method", ["rkmk54", "rkmk853", "radau5"])
+@pytest.mark.parametrize("name", SLIDES)
+def test_methods_keep_their_tolerance_along_surfaces(method, name):
+    law, known, _ = SLIDES[name]
+    for tolerance in (1e-5, 1e-11):
+        settings = {"rtol": tolerance, "atol": tolerance, "estimate": False}
+        simulation = Simulation(cart(**law), method, 1 / 64, quiet=True, **settings)
+        assert np.abs(np.subtract(end_of(simulation, 2.0), known(2.0))).max() <= 10 * tolerance
+
+
+def test_two_surfaces_share_what_laws_exert():
+    """At rest s - r/2 = 0 and r - s/2 = 0.3 t for the shares s, r of both signs; r is 1 after 2.5 s."""
+    scene = scene_from_text(RAIL, "test")
+    other, rail = scene.bodies[0].remade(name="other"), scene.joints[0].remade(name="next", child="other")
+    law = {
+        "type": "law", "name": "own", "inputs": {"v": "rail.velocity", "w": "next.velocity"},
+        "signals": {"s": "(v > 0) - (v < 0)", "r": "1 if w > 0 else -1"},
+        "outputs": [{"joint": "rail", "effort": "r/2 - s"}, {"joint": "next", "effort": "s/2 - r + 0.3*t"}],
+    }  # fmt: skip
+    scene = scene.remade(bodies=[scene.bodies[0], other], joints=[scene.joints[0], rail], forces=[law])
+    simulation = Simulation(scene, accuracy=1e-9, quiet=True)
+    simulation.advance_to(1.3)
+    assert_allclose(list(simulation.sample().signals.values()), (0.26, 0.52), atol=1e-9)
+    simulation.advance_to(4.0)
+    found = simulation.sample().joint_coordinates
+    assert_allclose((found["rail"], found["next"]), ((0.3, 0.0), (0.3 + 0.05 * 1.5**3, 0.15 * 1.5**2)), atol=1e-9)
+
+
+def test_a_body_that_turns_slides_along_a_surface_of_the_world():
+    """Friction along x stops it after 2 s; y is accelerated by 0.15 m/s^2."""
+    text = """
+name: ball
+gravity: [0, 0, 0]
+bodies:
+- {name: ball, mass: 2, inertia: [0.1, 0.2, 0.3], linear_velocity: [1, 0, 0], angular_velocity: [0.3, 1, 2]}
+forces:
+- {name: own, type: law, inputs: {v: ball.dx}, outputs: [{body: ball, axes: world, force: [1 - 2*(v > 0), 0.3, 0]}]}
+"""
+    for group in ("auto", "se3"):
+        simulation = Simulation(scene_from_text(text, "test"), accuracy=1e-9, group=group, quiet=True)
+        simulation.advance_to(4.0)
+        assert_allclose(simulation.sample().pose[0, 9:], (1.0, 1.2, 0.0), atol=1e-9)
+
+
+@pytest.mark.parametrize("name, size", [("slider_crank", 2.0), ("hinge_chain", 1.0), ("double_pendulum", 6.0)])
+def test_a_sign_of_a_rate_is_dry_friction(name, size):
+    """Against the switch of the joint, to the sum of both estimates."""
+    scene = load_scene(name)
+    joint = next(each for each in scene.joints if each.type == "revolute")
+    joints = [each.remade(friction={"coulomb": size}) if each is joint else each for each in scene.joints]
+    law = {
+        "type": "law", "name": "own", "inputs": {"w": f"{joint.name}.velocity"}, "parameters": {"size": size},
+        "outputs": [{"joint": joint.name, "effort": "size*((w < 0) - (w > 0))"}],
+    }  # fmt: skip
+    scenes = scene.remade(joints=joints), scene.remade(forces=[*scene.forces, law])
+    runs = [Simulation(each, accuracy=1e-8, quiet=True) for each in scenes]
+    held = 0
+    for time in np.linspace(0.2, 2.6, 7):
+        for run in runs:
+            run.advance_to(time)
+        one, other = (run.sample().joint_coordinates[joint.name] for run in runs)
+        assert_allclose(one, other, atol=sum(run.largest_error for run in runs) + 1e-12)  # round-off
+        held += one[1] == 0.0
+    assert held
+
+
+def test_a_state_on_a_surface_has_no_derivatives():
+    simulation = Simulation(cart("-1 if v > 0 else 1", velocity=1.0), accuracy=1e-6, quiet=True)
+    simulation.advance_to(2.0)
+    with pytest.raises(SimulationError, match="slides along a comparison of the law own at t = 2 s"):
+        linearise(simulation)
 
 
 def test_a_state_that_is_set_finds_its_branch():
@@ -146,3 +263,16 @@ def test_sensitivities_jump_with_the_slope_at_an_event():
     slope = (known(1.3 + 1e-5) - known(1.3 - 1e-5)) / 2e-5  # round-off 1e-11
     assert found.derivatives.item() == pytest.approx(slope, abs=1e-9)
     assert found.errors.item() < 1e-9
+
+
+def test_sensitivities_of_states_pass_events():
+    """d v and d x of v' = min(x, c), x' = -k x, whose branch changes at x = c."""
+    x0, k, c, time = 0.8, 1.5, 0.5, 1.2
+    law = {"effort": "min(x, c)", "states": {"x": {"rate": "-k*x", "start": x0}}, "parameters": {"k": k, "c": c}}
+    names = ["own.states.x.start", "own.parameters.k", "own.parameters.c"]
+    found = sensitivities(cart(**law), names, [time], ["rail.velocity", "own.x"])
+    at, left = math.log(x0 / c) / k, math.exp(-k * time)
+    by_k = -c * at / k - (c - x0 * left) / k**2 + x0 * time * left / k
+    known = [[c / (k * x0) - left / k, by_k, at], [left, -x0 * time * left, 0.0]]
+    assert_allclose(found.derivatives[0], known, atol=1e-9)
+    assert found.errors.max() < 1e-9
