@@ -105,6 +105,7 @@ class Laws(Struct):
     tables: np.ndarray  # (t + 1,) first points of the tables
     points: np.ndarray  # (n, 2) their points
     outputs: np.ndarray  # (o,) of OUTPUT
+    owners: np.ndarray  # (o,) number of the law of each output
     results: np.ndarray  # (r,) registers of outputs and of rates of states, of all continuous laws
     signals: np.ndarray  # (w,) registers of their signals
     states: np.ndarray  # (s, 2) registers of the value and of the rate of each state
@@ -617,7 +618,7 @@ def make_laws(described, index, ends, angles, slides, first, sensors=()):
     slides : names of the joints whose coordinate is a displacement
     """
     program, signals, found = _compile_all(described)
-    outputs, states, held, start, sampled_code, shown = [], [], [], [], [], []
+    outputs, owners, states, held, start, sampled_code, shown = [], [], [], [], [], [], []
     results, surfaces = _results(found), [k for _, k in _surfaces_of(program, signals, found)]
     kinks = program.branched(results)
     reads = {False: [], True: []}  # of continuous laws, and of sampled ones
@@ -632,7 +633,7 @@ def make_laws(described, index, ends, angles, slides, first, sensors=()):
         joints[joint] = first, before or always
         return first
 
-    for law, compiled in found:
+    for number, (law, compiled) in enumerate(found):
         inputs = reads[law.period is not None]
         if law.period is None:
             states += zip(compiled.states.values(), compiled.rates)
@@ -656,6 +657,7 @@ def make_laws(described, index, ends, angles, slides, first, sensors=()):
                 outputs.append((-1, own * 6, 0, each.point, unit_of(each.joint, True), *motion))
             elif each.body is not None:
                 outputs.append((index[each.body], own, each.axes == "world", each.point, -1, *NO_AXIS))
+        owners += [number] * (len(outputs) - len(owners))
     begins, points = table_arrays(program.tables)
     registers = np.zeros((len(program.registers), 2))
     registers[:, 0] = program.registers
@@ -671,6 +673,7 @@ def make_laws(described, index, ends, angles, slides, first, sensors=()):
         tables=begins,
         points=points,
         outputs=np.array(outputs, dtype=OUTPUT),
+        owners=np.array(owners, dtype=np.int64),
         results=np.array(results, dtype=np.int64),
         signals=np.array(shown, dtype=np.int64),
         states=np.array(states, dtype=np.int64).reshape(-1, 2),
@@ -924,18 +927,23 @@ def add_wrench(laws, registers, pose, wrench_out):
 
 
 @kernel
+def power_of(laws, e, registers, pose, twist):
+    """Power of output e, W; registers : after `measure` in this state."""
+    row = laws.outputs[e]
+    if row["body"] < 0:
+        rate = axis.rate(row, axis.kept_unit(registers, row["unit"]), twist)
+        return registers[row["registers"][0], 0] * rate
+    torque, force = _wrench(row, registers, 0)
+    torque, force = _in_body(row, pose, torque, force)
+    return dot3(torque, load3(twist, row["body"], 0)) + dot3(force, load3(twist, row["body"], 3))
+
+
+@kernel
 def power(laws, registers, pose, twist):
     """Power of all laws, W; registers : after `measure` in this state."""
     total = 0.0
     for e in range(len(laws.outputs)):
-        row = laws.outputs[e]
-        if row["body"] < 0:
-            rate = axis.rate(row, axis.kept_unit(registers, row["unit"]), twist)
-            total += registers[row["registers"][0], 0] * rate
-        else:
-            torque, force = _wrench(row, registers, 0)
-            torque, force = _in_body(row, pose, torque, force)
-            total += dot3(torque, load3(twist, row["body"], 0)) + dot3(force, load3(twist, row["body"], 3))
+        total += power_of(laws, e, registers, pose, twist)
     return total
 
 

@@ -11,6 +11,7 @@ from liegroup_core.lie.so3 import so3_to_quaternion
 from liegroup_core.lie.vec3 import load9
 from liegroup_core.observables.invariants import energy
 
+FIRST_LAW = len(kinds.POWERS)  # column of its power
 STORES = ("kinetic energy", "potential energy", "energy of springs")
 
 
@@ -35,8 +36,12 @@ def _powers(forces, angle, targets, registers, times, pose, twist, known, out):
         law.measure(forces.laws, angle[k], pose[k], twist[k], registers)
         found = kinds.powers(forces, angle[k], targets, registers, pose[k], twist[k])
         out[k, 0], out[k, 1], out[k, 2], out[k, 3], out[k, 4] = found
+        for e in range(len(forces.laws.outputs)):
+            out[k, FIRST_LAW + forces.laws.owners[e]] += law.power_of(forces.laws, e, registers, pose[k], twist[k])
         for s in range(len(known)):
-            out[k, 4] -= registers[forces.laws.states[known[s], 1], 0]
+            rate = registers[forces.laws.states[known[s, 1], 1], 0]
+            out[k, FIRST_LAW - 1] -= rate
+            out[k, FIRST_LAW + known[s, 0]] -= rate
 
 
 @SameTypes
@@ -75,16 +80,16 @@ def rows(pose, twist):
 
 
 def powers(layout, angles, targets, times, pose, twist, known=()):
-    """(k, p) W of the non-conservative forces of a layout by kinds.POWERS, in k states with the same inputs.
+    """(k, p + l) W of the non-conservative forces of a layout by kinds.POWERS and of each law, in k states.
 
-    known : numbers of the states of laws that are the work of some: these have no part in it
-    angles (k, t) rad; targets as for kinds.powers; times (k,) s; pose (k, n, 12), twist (k, n, 6) of the frames at the
-    centres of mass
+    known : [(number of a law, of its state that is its work)]: these have no part in it
+    The inputs are the same in all states. angles (k, t) rad; targets as for kinds.powers; times (k,) s; pose (k, n, 12),
+    twist (k, n, 6) of the frames at the centres of mass
     """
-    out = np.zeros((len(pose), len(kinds.POWERS)))
+    out = np.zeros((len(pose), len(kinds.POWERS) + len(law.laws_of(layout.scene.forces))))
     forces = layout.model.forces
     given = [np.array(part, order="C") for part in (angles, targets, forces.laws.registers, times, pose, twist)]
-    _powers(forces, *given, np.array(known, dtype=np.int64), out)
+    _powers(forces, *given, np.array(known, dtype=np.int64).reshape(-1, 2), out)
     return out
 
 

@@ -14,6 +14,7 @@ import scipy
 
 from liegroup_core.errors import SceneError
 from liegroup_core.fields.values import suggestion
+from liegroup_core.forces.law import laws_of
 
 POSITION, QUATERNION, ROTATION = ("x", "y", "z"), ("qx", "qy", "qz", "qw"), ("rx", "ry", "rz")
 TWIST, ACCELERATION = ("wx", "wy", "wz", "vx", "vy", "vz"), ("alpha_x", "alpha_y", "alpha_z", "ax", "ay", "az")
@@ -134,6 +135,9 @@ TABLE = {
     ),
     "totals": Row("coordinate", ("total_effort",), ("{effort}",), _ALL_EFFORTS, _totals),
     "powers": Row("coordinate", ("power",), ("W",), "total effort times velocity", _powers),
+    "law_powers": Row(
+        "law", ("power",), ("W",), "of its efforts and wrenches", lambda s, _: list(s.law_powers.values())
+    ),
     "signals": Row("signal", (), (), "numbers of a law", lambda s, _: list(s.signals.values()), RATES),
     "sensors": Row("sensor", (), (), "as the sensor measures", _sensors),
 }
@@ -173,6 +177,7 @@ class Catalogue:
             "driven": {joint: of_joints[joint] for joint in (*layout.servos, *layout.motions, *layout.unit_efforts)},
             "contact": dict.fromkeys((joint.name for joint, *_ in layout.contacts), {}),
             "force": of_forces,
+            "law": dict.fromkeys((law.name for law in laws_of(layout.scene.forces)), {}),
             "signal": dict.fromkeys(layout.signals, {}),
             "sensor": {each.name: _parts(each, units) for each in layout.scene.sensors},
         }

@@ -20,7 +20,7 @@ from liegroup_core.joints.kinds import TYPES
 from liegroup_core.lie.groups import cross, within_a_turn
 from liegroup_core.observables import invariants
 
-from .along import quaternions, rows
+from .along import powers, quaternions, rows
 
 PULLS = 1e-9  # of the weight, or at 1 m/s^2: a force that pulls more is not round-off
 
@@ -317,6 +317,14 @@ class Sample:
         """{LAW.SIGNAL: number} of the laws of the scene."""
         places = self._layout.signals
         return dict(zip(places, self.registers[list(places.values()), 0].tolist())) if places else {}
+
+    @cached_property
+    def law_powers(self) -> dict[str, float]:
+        """{law: power in W of its efforts and wrenches}, also of contacts."""
+        laws = law.laws_of(self.scene.forces)
+        state = self.angles[None], self.acting.targets, [self.time], *(part[None] for part in self._state)
+        found = powers(self._layout, *state)[0, len(kinds.POWERS) :] if laws else ()
+        return dict(zip((each.name for each in laws), map(float, found)))
 
     @cached_property
     def law_efforts(self) -> dict[str, float]:

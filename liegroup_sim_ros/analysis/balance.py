@@ -17,7 +17,7 @@ from liegroup_core.forces import kinds
 from liegroup_core.forces.contact import WORK
 from liegroup_core.forces.external import acts, power
 from liegroup_core.forces.instants import StepGrid
-from liegroup_core.forces.law import states_of
+from liegroup_core.forces.law import laws_of, states_of
 from liegroup_core.forces.sampled import Sampling
 from liegroup_core.observables.along import STORES, powers
 from liegroup_sim_ros.messages.joint_modes import ENERGY
@@ -26,7 +26,7 @@ from .acting import ActingInputs
 
 WORKS = (*kinds.POWERS, "wrenches", "driven joints", "stops and friction", "impacts")
 LAWS = kinds.POWERS.index("laws")
-WRENCHES, DRIVES, IMPACTS = len(kinds.POWERS), len(kinds.POWERS) + 1, len(WORKS) - 1
+OTHERS, IMPACTS = slice(len(kinds.POWERS), len(WORKS) - 1), len(WORKS) - 1
 MOST_POINTS = 2000  # of a curve
 DEGREE = 5
 AT_CHANGE = 1e-9  # s: stamps are rounded to ns
@@ -40,15 +40,16 @@ class Balance:
         self._acting, self._grid = ActingInputs(layout, self._step), StepGrid(self._step)
         forces, self._sampling = layout.model.forces, Sampling(layout, self._grid)
         self._held = slice(len(forces.counted), len(forces.counted) + len(forces.laws.held))
-        names = [f"{force.name}.{WORK}" for force in layout.scene.forces if force.type == "contact"]
-        states = [name for name, _ in states_of(layout.scene.forces)]
-        self._known = [states.index(name) for name in names]
+        self._laws, states = [law.name for law in laws_of(layout.scene.forces)], states_of(layout.scene.forces)
+        names, own = [name for name, _ in states], [f"{law}.{WORK}" for law in self._laws]
+        contacts = {f"{force.name}.{WORK}" for force in layout.scene.forces if force.type == "contact"}
+        self._known = [(k, names.index(name)) for k, name in enumerate(own) if name in contacts]
         self._first_state = kinds.count(forces) - len(states)
         self._has_forces = any(not force.is_conservative for force in layout.scene.forces)
         self._has_joints = bool(layout.motions or layout.switches)
         self._every = -(-expected // MOST_POINTS)
         self._stretch = self._first = None
-        self._work, self._set = np.zeros(len(WORKS)), 0.0
+        self._work, self._set = np.zeros(len(WORKS) + len(self._laws)), 0.0
         self._largest, self._at, self._error, self._taken = 0.0, None, 0.0, 0
         self._curves = {}
 
@@ -66,18 +67,21 @@ class Balance:
             works = self._works(*(np.concatenate([old, new]) for old, new in zip(self._before, state)))[1:]
         self._before, self._last = tuple(part[-1:] for part in state), stored[-1]
         self._work = works[-1]
-        remainder = stored.sum(axis=1) - works.sum(axis=1) - self._first.sum() - self._set
+        remainder = stored.sum(axis=1) - works[:, : len(WORKS)].sum(axis=1) - self._first.sum() - self._set
         worst = int(np.abs(remainder).argmax())
         if not abs(remainder[worst]) <= abs(self._largest):  # True also for NaN
             self._largest, self._at = float(remainder[worst]), float(block.log_times[worst])
         self._remainder = float(remainder[-1])
         rows = slice(-self._taken % self._every, None, self._every)
         self._taken += len(works)
-        columns = block.log_times, stored - self._first, works, remainder
+        columns = block.log_times, stored - self._first, works[:, : len(WORKS)], remainder
         self._curves.setdefault(id(block.stretch), []).append(tuple(part[rows] for part in columns))
 
     def _works(self, times, pose, twist, angles, fresh=False):
-        """(k, w) J of work by WORKS at k samples, since the start of the run; fresh : a stretch begins with them."""
+        """(k, w + l) J of work by WORKS and of each law at k samples, since the start of the run.
+
+        fresh : a stretch begins with them
+        """
         out = np.tile(self._work, (len(times), 1))
         if not self._does_work:
             return out
@@ -99,12 +103,12 @@ class Balance:
                 own[:, self._held] = angles[min(first, len(angles) - 1), self._held]
             found = self._powers(0.5 * (a + b), times[rows], pose[rows], twist[rows], own)
             work, error = _integrals(times[rows], found, a, b)
-            out[first:end, :IMPACTS] = done[:IMPACTS] + work(times[first:end])
-            done[:IMPACTS] += work(b)
-            self._error += float(error.sum())
-        for s in self._known:
+            out[first:end] = done + work(times[first:end])
+            done += work(b)
+            self._error += float(error[: len(WORKS)].sum())
+        for law, s in self._known:
             known = angles[:, self._first_state + s]
-            out[:, LAWS] += known - known[0]
+            out[:, [LAWS, len(WORKS) + law]] += (known - known[0])[:, None]
         track = self._stretch.joint_modes
         if track is not None:
             total = np.concatenate([[0.0], np.cumsum(track.values[:, :, ENERGY].sum(axis=1))])
@@ -116,16 +120,19 @@ class Balance:
         return out
 
     def _powers(self, time, times, pose, twist, angles):
-        """(k, w - 1) W at k states, with the inputs at a time in s since step 0."""
+        """(k, w + l) W at k states, with the inputs at a time in s since step 0; 0 of impacts."""
         layout, (acting, _, modes) = self._layout, self._acting.at(self._stretch, time)
-        out = np.zeros((len(times), IMPACTS))
+        out = np.zeros((len(times), len(self._work)))
         if self._has_forces:
-            out[:, :WRENCHES] = powers(layout, angles, acting.targets, times, pose, twist, self._known)
+            found = powers(layout, angles, acting.targets, times, pose, twist, self._known)
+            out[:, : OTHERS.start], out[:, len(WORKS) :] = np.split(found, [OTHERS.start], axis=1)
         if acts(acting.external):
-            out[:, WRENCHES] = [power(acting.external, *state) for state in zip(pose, twist)]
+            out[:, OTHERS.start] = [power(acting.external, *state) for state in zip(pose, twist)]
         if self._has_joints:
             found = layout.reactions.powers(pose, twist, angles, acting, modes, times.tolist())
-            out[:, DRIVES:IMPACTS] = found if layout.switches else found * (1.0, 0.0)  # no round-off as work
+            out[:, OTHERS.start + 1 : IMPACTS] = (
+                found if layout.switches else found * (1.0, 0.0)
+            )  # no round-off as work
         return out
 
     def figures(self):
@@ -137,6 +144,7 @@ class Balance:
         return {
             "stored": stored,
             "work_J": dict(zip(WORKS, self._work.tolist())),
+            "work_of_laws_J": dict(zip(self._laws, self._work[len(WORKS) :].tolist())),
             "set_J": self._set,
             "remainder_J": self._remainder,
             "largest_J": abs(self._largest),

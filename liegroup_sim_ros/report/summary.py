@@ -278,6 +278,7 @@ def _event_count(entry):
 
 RESOLVED = 0.1  # error of the work, relative to the largest work, up to which a balance says something
 BALANCE_TITLE = "Energy balance"
+MOST_LAWS = 20  # of a table of the balance
 
 
 def balance_table(balance):
@@ -293,6 +294,9 @@ def balance_table(balance):
         if start or end
     ]
     rows += [row(f"work of {name}", None, None, work) for name, work in balance["work_J"].items() if work]
+    laws = {name: work for name, work in balance["work_of_laws_J"].items() if work}
+    if 1 < len(laws) <= MOST_LAWS:
+        rows += [row(f"  of which {name}", None, None, work) for name, work in laws.items()]
     if balance["set_J"]:
         rows.append(row("resets and states that were set", None, None, balance["set_J"]))
     rows.append(row("does not add up by", None, None, balance["remainder_J"]))
