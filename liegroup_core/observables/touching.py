@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What contacts exert on their bodies, and where: from the registers of their laws (forces/contact.py)."""
+
+import numpy as np
+
+from liegroup_core.forces.formulas import BELOW, OPEN
+from liegroup_core.forces.law import results_of
+from liegroup_core.lie.groups import cross
+
+
+class Touching:
+    """Points of the contacts of a Layout.
+
+    names : of the contacts, in the order of the scene
+    """
+
+    def __init__(self, layout):
+        described, laws = layout.centred.forces, layout.model.forces.laws
+        self.names = tuple(force.name for force in described if force.type == "contact")
+        self._com, self._laws = layout.offsets.com, laws
+        signals = {key: int(at) for key, at in zip(results_of(described)[1], laws.signals)}
+        rows, points = iter(laws.outputs), []
+        for force in (each for each in described if hasattr(each, "as_law")):
+            own = [next(rows) for each in force.as_law.outputs if each.servo is None]
+            for k, *names in force.points if force.type == "contact" else ():
+                register = lambda each, law=force.name: signals.get((law, f"signals.{each}"), -1)  # noqa: E731
+                normal, arm = names
+                numbers = [each if register(each) < 0 else 0.0 for each in arm]
+                points.append((force.name, own[k], register(normal), [register(each) for each in arm], numbers))
+        owners, rows, normals, arms, numbers = zip(*points) if points else ((),) * 5
+        self._of = np.array([[owner == name for owner in owners] for name in self.names], dtype=float)
+        self._bodies = np.array([row["body"] for row in rows], dtype=int)
+        self._points = np.array([row["point"] for row in rows], dtype=float).reshape(-1, 3)
+        self._registers = np.array([row["registers"] for row in rows], dtype=int).reshape(-1, 6)
+        self._normals, self._arms = np.array(normals, dtype=int), np.array(arms, dtype=int).reshape(-1, 3)
+        self._numbers = np.array(numbers, dtype=float).reshape(-1, 3)
+        self._firsts = self._of.argmax(axis=1) if self.names else np.empty(0, dtype=int)
+
+    def at(self, registers, pose):
+        """(c, 9) per contact: centre of pressure, world axes, or NaN; torque and force on the body, as Sample.
+
+        registers : (m, 2) of the laws, computed;  pose : (n, 12) of the frames at the centres of mass
+        """
+        values, own = registers[:, 0], pose[self._bodies]
+        starts = (own[:, :9].reshape(-1, 3, 3) @ self._points[:, :, None])[..., 0]
+        places = own[:, 9:] + starts + np.where(self._arms < 0, self._numbers, values[self._arms])
+        torques, forces = values[self._registers[:, :3]], values[self._registers[:, 3:]]
+        weights = self._of * values[self._normals]
+        with np.errstate(invalid="ignore"):
+            centres = weights @ places / weights.sum(axis=1, keepdims=True)
+        bodies = self._bodies[self._firsts]
+        turns = pose[bodies, :9].reshape(-1, 3, 3)
+        torque, force = (
+            ((self._of @ each)[:, None] @ turns)[:, 0] for each in (torques + cross(starts, forces), forces)
+        )
+        return np.hstack([centres, torque + cross(self._com[bodies], force), force])
