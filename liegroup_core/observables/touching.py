@@ -17,7 +17,7 @@ class Touching:
     def __init__(self, layout):
         described, laws = layout.centred.forces, layout.model.forces.laws
         self.names = tuple(force.name for force in described if force.type == "contact")
-        self._com, self._laws = layout.offsets.com, laws
+        self._com = layout.offsets.com
         signals = {key: int(at) for key, at in zip(results_of(described)[1], laws.signals)}
         rows, points = iter(laws.outputs), []
         for force in (each for each in described if hasattr(each, "as_law")):
@@ -35,6 +35,23 @@ class Touching:
         self._normals, self._arms = np.array(normals, dtype=int), np.array(arms, dtype=int).reshape(-1, 3)
         self._numbers = np.array(numbers, dtype=float).reshape(-1, 3)
         self._firsts = self._of.argmax(axis=1) if self.names else np.empty(0, dtype=int)
+        # A normal force is `... if depth > 0 and damping*leaving < 1 else 0`: the kinks of both comparisons.
+        writes, kinks = {int(row[1]): row for row in laws.code}, {int(laws.code[i, 1]): k for k, i in enumerate(laws.kinks)}
+        both = [writes[int(writes[normal][2])][2:4] for normal in normals]
+        self._kinks = np.array([[kinks[int(each)] for each in pair] for pair in both], dtype=int).reshape(-1, 2)
+
+    def presses(self, registers):
+        """(m,) whether each point of a contact presses."""
+        return registers[self._normals, 0] > 0.0
+
+    def presses_in(self, branches, before):
+        """The same by the branches (q,) of the kinks of laws; before : as it was, where a branch is open."""
+        found = branches[self._kinks]
+        return np.where((found == OPEN).any(axis=1), before, (found == BELOW).all(axis=1))
+
+    def any_of(self, presses):
+        """(c,) whether some point of each contact presses, by `presses` (m,)."""
+        return self._of @ presses > 0.0
 
     def at(self, registers, pose):
         """(c, 9) per contact: centre of pressure, world axes, or NaN; torque and force on the body, as Sample.
