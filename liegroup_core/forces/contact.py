@@ -210,7 +210,7 @@ class Contact(Force):
 
     @property
     def points(self):
-        """[(number of an output on the body, its normal force, arm (3,) of its force)]: names of signals, or numbers."""
+        """[(number of an output on the body, its normal force, arm (3,) of its force)]: signals or numbers."""
         found = self._formulas
         own = [(k, arm) for k, (body, arm) in enumerate(found.arms) if body == self.body]
         return [(k, normal, arm) for (k, arm), normal in zip(own, found.normals)]

@@ -48,7 +48,13 @@ class Row(NamedTuple):
     along: Callable | None = None
 
 
-KINDS = {"coordinate": "joint", "driven": "joint", "contact": "joint", "touching": "force", "signal": "law"}  # of owners
+KINDS = {
+    "coordinate": "joint",
+    "driven": "joint",
+    "contact": "joint",
+    "touching": "force",
+    "signal": "law",
+}  # of owners
 
 
 def _rotations(poses, columns):

@@ -266,6 +266,12 @@ class Sample:
         return dict(zip(self._layout.touching.names, self.touching[:, 3:]))
 
     @property
+    def contact_forces(self) -> NDArray[np.float64]:
+        """(c, 2, 3) of each contact: point as in `contact_points`, or NaN, and force on the body; world axes."""
+        turns = self.pose[self._layout.touching.bodies, :9].reshape(-1, 3, 3)
+        return np.stack([self.touching[:, :3], (turns @ self.touching[:, 6:, None])[..., 0]], axis=1)
+
+    @property
     def slipping(self) -> tuple[str, ...]:
         """Joints whose contact would need a force that pulls, or more friction than their `mu`.
 

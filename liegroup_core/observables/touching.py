@@ -11,7 +11,8 @@ from liegroup_core.lie.groups import cross
 class Touching:
     """Points of the contacts of a Layout.
 
-    names : of the contacts, in the order of the scene
+    names  : of the contacts, in the order of the scene
+    bodies : (c,) numbers of the bodies on which they act
     """
 
     def __init__(self, layout):
@@ -34,9 +35,12 @@ class Touching:
         self._registers = np.array([row["registers"] for row in rows], dtype=int).reshape(-1, 6)
         self._normals, self._arms = np.array(normals, dtype=int), np.array(arms, dtype=int).reshape(-1, 3)
         self._numbers = np.array(numbers, dtype=float).reshape(-1, 3)
-        self._firsts = self._of.argmax(axis=1) if self.names else np.empty(0, dtype=int)
+        self.bodies = self._bodies[self._of.argmax(axis=1)] if self.names else self._bodies
         # A normal force is `... if depth > 0 and damping*leaving < 1 else 0`: the kinks of both comparisons.
-        writes, kinks = {int(row[1]): row for row in laws.code}, {int(laws.code[i, 1]): k for k, i in enumerate(laws.kinks)}
+        writes, kinks = (
+            {int(row[1]): row for row in laws.code},
+            {int(laws.code[i, 1]): k for k, i in enumerate(laws.kinks)},
+        )
         both = [writes[int(writes[normal][2])][2:4] for normal in normals]
         self._kinks = np.array([[kinks[int(each)] for each in pair] for pair in both], dtype=int).reshape(-1, 2)
 
@@ -65,9 +69,8 @@ class Touching:
         weights = self._of * values[self._normals]
         with np.errstate(invalid="ignore"):
             centres = weights @ places / weights.sum(axis=1, keepdims=True)
-        bodies = self._bodies[self._firsts]
-        turns = pose[bodies, :9].reshape(-1, 3, 3)
+        turns = pose[self.bodies, :9].reshape(-1, 3, 3)
         torque, force = (
             ((self._of @ each)[:, None] @ turns)[:, 0] for each in (torques + cross(starts, forces), forces)
         )
-        return np.hstack([centres, torque + cross(self._com[bodies], force), force])
+        return np.hstack([centres, torque + cross(self._com[self.bodies], force), force])
