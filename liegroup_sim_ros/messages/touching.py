@@ -26,15 +26,13 @@ def planes(scene, near):
 
 
 def arrows(sample, size):
-    """(k, 2, 3) m, world axes: start and tip of the forces of contacts on their bodies, where something presses.
+    """(c, 2, 3) m, world axes: start and tip of the force of each contact on its body; NaN where nothing presses.
 
     size : of the mechanism, m. Without gravity all arrows are equally long
     """
-    scene = sample.scene
+    scene, found = sample.scene, sample.contact_forces
     weight = sum(body.mass for body in scene.bodies) * math.hypot(*scene.gravity)
-    found = sample.contact_forces
-    found = found[np.isfinite(found[:, 0, 0])]
     forces = np.linalg.norm(found[:, 1], axis=1)
     lengths = np.minimum(ARROW * forces / weight, LONGEST) if weight else np.full(len(found), ARROW)
-    tips = found[:, 0] + found[:, 1] * (size * lengths / forces)[:, None]
-    return np.stack([found[:, 0], tips], axis=1)
+    scale = np.divide(size * lengths, forces, where=forces > 0.0, out=np.zeros(len(found)))
+    return np.stack([found[:, 0], found[:, 0] + scale[:, None] * found[:, 1]], axis=1)

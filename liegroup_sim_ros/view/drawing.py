@@ -203,7 +203,7 @@ class Drawing:
         world = np.einsum("nij,nkj->nki", turns, wrenches.reshape(-1, 2, 3))
         self._arrows("forces", place, world[:, 1], FORCE, look.wrenches)
         self._arrows("torques", place, world[:, 0], TORQUE, look.wrenches)
-        self._show_arrows("contacts", arrows(sample, self.size) if look.contacts else (), CONTACT)
+        self._show_arrows("contacts", arrows(sample, self.size)[: None if look.contacts else 0], CONTACT)
         self._arrows("gravity", centres, self._weights, GRAVITY, look.gravity)
         starts, forces = self._reactions(sample) if look.reactions else (np.empty((0, 3)), np.empty((0, 3)))
         self._arrows("reactions", starts, forces, REACTION, look.reactions)
@@ -254,15 +254,16 @@ class Drawing:
         length = np.linalg.norm(vectors, axis=1)
         some = length > 0.0
         if not is_shown or not some.any():
-            self._show_arrows(name, (), colour)
+            self._show_arrows(name, np.empty((0, 2, 3)), colour)
             return
         largest = self._largest[name] = max(self._largest.get(name, 0.0), length.max())
         tips = starts + vectors * (LONGEST * self.size / largest)
         self._show_arrows(name, np.stack([starts[some], tips[some]], axis=1), colour)
 
     def _show_arrows(self, name, points, colour):
-        """Arrows from and to points (k, 2, 3)."""
+        """Arrows from and to points (k, 2, 3), but NaN."""
         handle, size = self._handles.get(name), self.size
+        points = points[np.isfinite(points).all(axis=(1, 2))]
         if not len(points):
             if handle is not None:
                 _set(handle, "visible", False)
