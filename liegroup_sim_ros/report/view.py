@@ -10,7 +10,6 @@ import scipy
 from liegroup_core.scene.names import WORLD
 from liegroup_sim_ros.analysis.acting import sample_of
 from liegroup_sim_ros.messages.markers import CUBE, CYLINDER, THINNEST, links, solid
-
 from liegroup_sim_ros.messages.touching import arrows, planes
 
 from .plots import BASE, MANY_COLOURS, label
