@@ -442,13 +442,14 @@ def test_a_node_with_a_contact_is_shown(client, tmp_path):
     fall = math.sqrt(2.0 * 0.05 / (9.81 * math.cos(0.2)))
     assert first.msg.endswith(" s: floor touch") and stamp_of(first) == pytest.approx(1e9 * fall, abs=100.0)
     assert float(first.msg.partition(" ")[0]) == pytest.approx(fall, abs=1e-7)
-    along, across = weight * math.sin(0.2), weight * math.cos(0.2)
+    # It leans by the moment of the friction over that of its four corners, 0.15 m away, of weight / 1 mm each.
+    slope = 0.2 + weight * math.sin(0.2) * 0.05 / (4.0 * 1e3 * weight * 0.15**2)
     force, torque = (getattr(wrenches[-1].wrench, part) for part in ("force", "torque"))
-    # A friction that creeps or swings in its elastic part ends within seconds: its damping is critical.
-    assert (force.x, force.y, force.z) == pytest.approx((-along, 0.0, across), abs=1e-3)
-    assert (torque.x, torque.y, torque.z) == pytest.approx((0.0, 0.0, 0.0), abs=1e-3)
+    expected = (-weight * math.sin(slope), 0.0, weight * math.cos(slope))
+    assert (force.x, force.y, force.z) == pytest.approx(expected, abs=1e-5)  # of this angle's square, 1e-8
+    assert (torque.x, torque.y, torque.z) == pytest.approx((0.0, 0.0, 0.0), abs=1e-5)
     _, found = frame.sample.contact_forces[0]
-    assert found == pytest.approx([0.0, 0.0, weight], abs=1e-3)
+    assert found == pytest.approx([0.0, 0.0, weight], abs=1e-5)
     assert tip - begin == pytest.approx([0.0, 0.0, 0.75 * page._drawing.size], abs=1e-3)
     assert begin @ (math.sin(0.2), 0.0, math.cos(0.2)) == pytest.approx(0.0, abs=1e-3)  # it sinks 0.25 mm
 
