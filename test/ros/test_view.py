@@ -433,6 +433,8 @@ def test_a_node_with_a_contact_is_shown(client, tmp_path):
         try:
             page.start()
             client.until(lambda: source.frame() is not None and source.frame().time > 2.0, "rest")
+            page._drawing._handles.pop("contacts", None)
+            client.until(lambda: "contacts" in page._drawing._handles, "an arrow")
             frame, (begin, tip) = source.frame(), page._drawing._handles["contacts"].points[0]
         finally:
             page.stop()
