@@ -346,7 +346,7 @@ function drawView(root, view, planes) {
       ...view.planes.map(plane => motion.square(plane, {x: scene.xaxis, y: scene.yaxis, z: scene.zaxis})).map(corners => (
         {type: "mesh3d", x: corners.map(p => p[0]), y: corners.map(p => p[1]), z: corners.map(p => p[2]),
          i: [0, 0], j: [1, 2], k: [2, 3], color: "--grey", opacity: .25, hoverinfo: "skip", showlegend: false}))];
-    data.forEach((trace, i) => { if (i >= (narrow() ? 6 : 9)) trace.showlegend = false; });
+    paths.forEach((path, i) => { if (i >= (narrow() ? 6 : 9)) path.showlegend = false; });
     return Plotly.react(plot, themed(data), themed({...view.layout, scene,
       height, uirevision: 1, modebar: MODEBAR,
       showlegend: paths.length > 1 || motion.touches > 0}), {
