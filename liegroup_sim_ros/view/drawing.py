@@ -104,7 +104,12 @@ class Drawing:
                     for i, body in enumerate(scene.bodies)
                 ]
             )  # fmt: skip
-        self._movers = [mover(server, handle) for handle in self._frames]
+            # Frames move at once; a browser takes longer for new points of arrows.
+            self._touches = [
+                api.add_frame(f"{self._root}/touch{k}", show_axes=False, visible=False)
+                for k in range(0 if ghost else len(layout.touching.names))
+            ]
+        self._movers = [mover(server, handle) for handle in (*self._frames, *self._touches)]
         self._springs = [] if ghost else links(scene)
         self._handles, self._largest, self._trace = {}, {}, []
         self._weights = np.outer([body.mass for body in scene.bodies], scene.gravity)
@@ -112,7 +117,7 @@ class Drawing:
 
     def remove(self):
         """Delete all nodes."""
-        for handle in (*self._frames, *self._handles.values()):
+        for handle in (*self._frames, *self._touches, *self._handles.values()):
             handle.remove()
 
     def _meshes(self, name, shapes, colour, ghost):
@@ -203,7 +208,12 @@ class Drawing:
         world = np.einsum("nij,nkj->nki", turns, wrenches.reshape(-1, 2, 3))
         self._arrows("forces", place, world[:, 1], FORCE, look.wrenches)
         self._arrows("torques", place, world[:, 0], TORQUE, look.wrenches)
-        self._show_arrows("contacts", arrows(sample, self.size)[: None if look.contacts else 0], CONTACT)
+        for k, (start, tip) in enumerate(arrows(sample, self.size)):
+            presses = look.contacts and bool(np.isfinite(start[0]))
+            _set(self._touches[k], "visible", presses)
+            if presses:
+                self._movers[len(place) + k][0](start.tolist())
+                self._show_arrows(f"touch{k}/force", np.array([[np.zeros(3), tip - start]]), CONTACT)
         self._arrows("gravity", centres, self._weights, GRAVITY, look.gravity)
         starts, forces = self._reactions(sample) if look.reactions else (np.empty((0, 3)), np.empty((0, 3)))
         self._arrows("reactions", starts, forces, REACTION, look.reactions)
@@ -261,9 +271,8 @@ class Drawing:
         self._show_arrows(name, np.stack([starts[some], tips[some]], axis=1), colour)
 
     def _show_arrows(self, name, points, colour):
-        """Arrows from and to points (k, 2, 3), but NaN."""
+        """Arrows from and to points (k, 2, 3)."""
         handle, size = self._handles.get(name), self.size
-        points = points[np.isfinite(points).all(axis=(1, 2))]
         if not len(points):
             if handle is not None:
                 _set(handle, "visible", False)
@@ -275,7 +284,8 @@ class Drawing:
                 head_length=0.05 * size,
             )  # fmt: skip
             return
-        handle.points = points
+        if np.abs(handle.points - points).max() > UNSEEN * size:
+            handle.points = points
         _set(handle, "visible", True)
 
     def _show_lines(self, name, lines, colour, width=3.0):

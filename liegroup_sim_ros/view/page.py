@@ -30,6 +30,7 @@ WIDE, PANEL, LEFT = 576, 340, 0.4
 STEEPER = 0.55  # tangent by which a camera looks down more into the upper part of a page: it stays above the ground
 SEEN = 200  # instants of a recording that the camera frames
 FIELD = math.radians(75.0)  # viewing angle of the camera, vertical
+LATE = 50  # views, ten seconds of them, that a slow browser may tell of late
 SAME_VIEW = 1e-3  # of the mechanism: a camera that is elsewhere was moved by the user
 SKY, EARTH, BRIGHT = (255, 255, 255), (140, 140, 140), 2.2  # light from above and below
 MOST_TRIANGLES = 200_000  # of all visuals; they are sent once
@@ -286,7 +287,7 @@ class Page:
         if aimed == "moved" or not width or not height:
             return
         found = self._camera(width, height)
-        # A slow browser tells of the library's view or of that of the page's start after it was aimed.
+        # A slow browser still tells of the library's view, that of the page's start, or of former ones.
         known = aimed[1] if aimed else (camera.position, self._server.initial_camera.position)
         if aimed is not None:
             is_same = lambda other: np.abs(np.subtract(camera.position, other)).max() < SAME_VIEW * self._drawing.size  # noqa: E731
@@ -295,7 +296,7 @@ class Page:
                 return
             if aimed[0] == (width, height, *found[0]):
                 return
-        self._aimed[client.client_id] = (width, height, *found[0]), (*known[:2], known[-1], found[0])
+        self._aimed[client.client_id] = (width, height, *found[0]), (*known[:2], *known[2:][-LATE:], found[0])
         with client.atomic():
             camera.position, camera.look_at = found
 
