@@ -34,6 +34,7 @@ from liegroup_core.observables.joint_coordinates import JointCoordinates
 from liegroup_core.observables.quantities import Catalogue
 from liegroup_core.observables.reactions import Reactions
 from liegroup_core.observables.sample import Sample
+from liegroup_core.observables.touching import Touching
 from liegroup_core.scene.assembly import ready
 from liegroup_core.scene.centres import Offsets
 from liegroup_core.scene.consistency import resolve_drives, resolve_frames
@@ -257,6 +258,11 @@ class Layout:
             for joint, (F_a, F_b) in zip(self.scene.joints, frames)
             if joint.type in ROLLING and hasattr(joint, "radius")
         ]
+
+    @cached_property
+    def touching(self):
+        """Touching: the points of the contacts of the scene."""
+        return Touching(self)
 
     @cached_property
     def joint_forces(self):

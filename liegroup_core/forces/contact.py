@@ -215,13 +215,24 @@ class Contact(Force):
     @cached_property
     def as_law(self):
         """Law with its formulas, once it is complete."""
+        return self._formulas.law
+
+    @property
+    def points(self):
+        """[(number of an output on the body, its normal force, arm (3,) of its force)]: signals or numbers."""
+        found = self._formulas
+        own = [(k, arm) for k, (body, arm) in enumerate(found.arms) if body == self.body]
+        return [(k, normal, arm) for (k, arm), normal in zip(own, found.normals)]
+
+    @cached_property
+    def _formulas(self):
         shapes, load, _ = self._given
         found = _Formulas(self.name, self.numbers, load)
         if self.other is not None:
-            return _touch_each_other(found, (self.body, self.other), shapes).law
+            return _touch_each_other(found, (self.body, self.other), shapes)
         normal = np.array(self.plane.normal) / math.hypot(*self.plane.normal)
         height = float(normal @ np.array(self.plane.point))
-        return _touch_plane(found, self.body, shapes[0], rotation_z_to(normal), height).law
+        return _touch_plane(found, self.body, shapes[0], rotation_z_to(normal), height)
 
     def on_bodies(self, child_of):
         """Names of the bodies that it reads or acts on."""
@@ -315,18 +326,21 @@ def _state(rate, scale=1.0):
 
 
 class _Formulas:
-    """Formulas of the law of a contact."""
+    """Formulas of the law of a contact.
+
+    normals : [name] of the normal force of each point;  arms : [(body, arm (3,))] of each output
+    """
 
     def __init__(self, name, numbers, load):
         self._name, self._numbers, self._load = name, numbers, load
         self._inputs, self._signals, self._states, self._outputs = {}, {}, {}, []
-        self._normals, self._depths, self._powers = [], [], []
+        self.normals, self.arms, self._depths, self._powers = [], [], [], []
 
     @property
     def law(self):
         """The Law. What others can read: the sum of normal forces in N, the largest depth in m, the work in J."""
         deepest = self._depths[0] if len(self._depths) == 1 else f"max({', '.join(self._depths)})"
-        shown = {"normal_force": _plus(*self._normals), "depth": deepest}
+        shown = {"normal_force": _plus(*self.normals), "depth": deepest}
         return _ContactLaw.model_construct(
             name=self._name,
             inputs={name: LawInput(quantity=quantity, point=point) for (quantity, point), name in self._inputs.items()},
@@ -370,7 +384,7 @@ class _Formulas:
         self._depths.append(depth)
         pushes = f"{depth} > 0 and damping*{leaving} < 1"
         force = self.let(f"stiffness*{depth}*(1 - damping*{leaving}) if {pushes} else 0")
-        self._normals.append(force)
+        self.normals.append(force)
         normal, tangents = axes
         self._powers.append(_times(force, leaving))
         if "friction" not in self._numbers:
@@ -396,6 +410,7 @@ class _Formulas:
         """Let a force in world axes act on a body at `arm` from a point of the body."""
         torque = [self.let(each) for each in _cross(arm, force)]
         texts = [tuple(str(each) for each in vector) for vector in (torque, force)]
+        self.arms.append((body, tuple(arm)))
         point = tuple(map(float, point))
         self._outputs.append(
             LawOutput.model_construct(body=body, torque=texts[0], force=texts[1], point=point, axes="world")

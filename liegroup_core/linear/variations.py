@@ -244,7 +244,8 @@ class Variations:
     def _cross(self, inside, end_ns):
         """[(Sample, columns, doubt)] at times inside a window of events and at its end, from neighbouring runs."""
         run, probe, start, times = self._run, self.probe, self._run.snapshot(), [*inside, end_ns]
-        angles, near = probe.base.angles.copy(), probe.base.switching[:, 3].copy()
+        angles = probe.base.angles.copy()
+        near = probe.base.switching[:, 3].copy() if probe.layout.switches else np.empty(0)
         run.drain_instants()
         samples = self._samples(times)
         expected = self._events_at(run, self.time_ns, times)

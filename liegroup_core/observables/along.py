@@ -83,7 +83,7 @@ def powers(layout, angles, targets, times, pose, twist, known=()):
     """(k, p + l) W of the non-conservative forces of a layout by kinds.POWERS and of each law, in k states.
 
     known : [(number of a law, of its state that is its work)]: these have no part in it
-    The inputs are the same in all states. angles (k, t) rad; targets as for kinds.powers; times (k,) s; pose (k, n, 12),
+    The inputs are the same in all. angles (k, t) rad; targets as for kinds.powers; times (k,) s; pose (k, n, 12),
     twist (k, n, 6) of the frames at the centres of mass
     """
     out = np.zeros((len(pose), len(kinds.POWERS) + len(law.laws_of(layout.scene.forces))))

@@ -49,7 +49,13 @@ class Row(NamedTuple):
     along: Callable | None = None
 
 
-KINDS = {"coordinate": "joint", "driven": "joint", "contact": "joint", "signal": "law"}  # of owners
+KINDS = {
+    "coordinate": "joint",
+    "driven": "joint",
+    "contact": "joint",
+    "touching": "force",
+    "signal": "law",
+}  # of owners
 
 
 def _rotations(poses, columns):
@@ -85,6 +91,7 @@ def _sensors(sample, columns):
 
 _IN_CHILD = "axes and origin of the joint frame of the child"
 _TRANSMITTED, _TO_PLANE = tuple(f"transmitted_{part}" for part in WRENCH), ("normal_force", "tangential_force")
+_ON_BODY = "on the body, in its axes, about its origin; p: centre of pressure, world axes"
 _ALL_EFFORTS = "motors, servos, drives, springs, dampers and commands at the joint"
 TABLE = {
     "time": Row("", ("time",), ("s",), "", lambda s, _: s.time, NO_STATE),
@@ -128,6 +135,9 @@ TABLE = {
     "transmitted": Row("joint", _TRANSMITTED, ("N m", "N"), _IN_CHILD, lambda s, _: list(s.transmitted.values())),
     "contacts": Row(
         "contact", _TO_PLANE, ("N",), "of what rolls, to its plane", lambda s, _: list(s.contacts.values())
+    ),
+    "contact_wrenches": Row(
+        *("touching", ("px", "py", "pz", *WRENCH), ("m", "N m", "N"), _ON_BODY, lambda s, _: s.touching, RATES)
     ),
     "efforts": Row("driven", ("effort",), ("{effort}",), "of servo, drive, laws and commands", _efforts),
     "forces": Row(
@@ -176,6 +186,7 @@ class Catalogue:
             "coordinate": {joint: of_joints[joint] for joint in units},
             "driven": {joint: of_joints[joint] for joint in (*layout.servos, *layout.motions, *layout.unit_efforts)},
             "contact": dict.fromkeys((joint.name for joint, *_ in layout.contacts), {}),
+            "touching": dict.fromkeys(layout.touching.names, {}),
             "force": of_forces,
             "law": dict.fromkeys((law.name for law in laws_of(layout.scene.forces)), {}),
             "signal": dict.fromkeys(layout.signals, {}),

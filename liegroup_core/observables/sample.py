@@ -239,8 +239,12 @@ class Sample:
 
     @cached_property
     def contact_points(self) -> dict[str, NDArray[np.float64]]:
-        """{wheel or ball that rolls: (3,) m, world axes} points at which they touch their planes."""
-        layout, found, poses = self._layout, {}, self.poses
+        """{wheel, ball that rolls, or contact that presses: (3,) m, world axes} points at which they touch.
+
+        Of a contact with several points it is their mean, weighted by the normal forces: the centre of pressure.
+        """
+        layout, poses = self._layout, self.poses
+        found = {name: at for name, at in zip(layout.touching.names, self.touching[:, :3]) if at[0] == at[0]}
         for joint, parent, normal, child, frame in layout.contacts:
             n = normal if parent is None else poses[parent][:3, :3] @ normal
             own = poses[child] @ frame
@@ -249,6 +253,23 @@ class Sample:
                 n /= np.linalg.norm(n)
             found[joint.name] = own[:3, 3] - joint.radius * n
         return found
+
+    @cached_property
+    def touching(self) -> NDArray[np.float64]:
+        """(c, 9) of each contact: `contact_points`, NaN where nothing presses, and `contact_wrenches`."""
+        touching = self._layout.touching
+        return touching.at(self.registers, self._state[0]) if touching.names else np.empty((0, 9))
+
+    @property
+    def contact_wrenches(self) -> dict[str, NDArray[np.float64]]:
+        """{contact: (6,)} torque N m, force N on its body; body axes, about the origin of the body frame."""
+        return dict(zip(self._layout.touching.names, self.touching[:, 3:]))
+
+    @property
+    def contact_forces(self) -> NDArray[np.float64]:
+        """(c, 2, 3) of each contact: point as in `contact_points`, or NaN, and force on the body; world axes."""
+        turns = self.pose[self._layout.touching.bodies, :9].reshape(-1, 3, 3)
+        return np.stack([self.touching[:, :3], (turns @ self.touching[:, 6:, None])[..., 0]], axis=1)
 
     @property
     def slipping(self) -> tuple[str, ...]:

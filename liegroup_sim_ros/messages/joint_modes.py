@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Events at joints with stops or dry friction: messages with their modes, and lines of text.
+"""Events at joints with stops or dry friction, and of contacts: messages with the modes of joints, and lines of text.
 
 ~/joint_modes has a message for every instant at which a mode changes or a stop is hit: a matrix with a
 row for each joint with stops or friction, in the order of the scene. Column `mode` is one of the constants
@@ -26,6 +26,8 @@ MODE, SLIP, COORDINATE, IMPULSE, ENERGY, EFFORT = range(6)
 # Free; at rest at a stop, or by friction alone; moving beyond a compliant stop.
 FREE, LOWER, UPPER, STICK, BEYOND_LOWER, BEYOND_UPPER = range(6)
 IMPACT = "impact"
+JOINT, CONTACT = "joint", "contact"  # names of events
+TOUCH, LEAVE = "touch", "leave"
 LINES = 20  # most instants per second of simulated time that have a line each
 
 
@@ -69,20 +71,27 @@ def switching(values):
 
 
 class Report(NamedTuple):
-    """Messages about the joints at one instant.
+    """Messages about the joints and contacts at one instant.
 
     time_ns : since step 0
     modes   : message of ~/joint_modes, or None
-    line    : text of an event `joint`, or None
+    line    : text of an event, or None
+    name    : of the event
     """
 
     time_ns: int
     modes: bytes | None
     line: str | None
+    name: str = JOINT
+
+
+def has_reports(layout):
+    """Whether a layout has joints with stops or friction, or contacts."""
+    return bool(layout.switches or layout.touching.names)
 
 
 class JointReports:
-    """Reports on joints with stops or friction during a simulation.
+    """Reports on joints with stops or friction, and on contacts that touch and leave, during a simulation.
 
     At most LINES instants in a second of simulated time have a line. The others are counted; the
     first report after that second sums them up. Call `begin` at the start and after a state was set.
@@ -90,8 +99,8 @@ class JointReports:
 
     def __init__(self, simulation):
         self._simulation, self._last, self._time = simulation, None, 0.0
-        self._encode = encoder(simulation.layout)
         layout = simulation.layout
+        self._encode, self._touching = encoder(layout) if layout.switches else None, layout.touching
         units = {switch.name: unit_of(switch, layout.scene) for switch in layout.switches}
         self._unit = {name: "N s" if unit == "m" else "N m s" for name, unit in units.items()}
         self._clear()
@@ -106,8 +115,9 @@ class JointReports:
         simulation.drain_instants()
         self._clear()
         self._second, self._time = int(simulation.time), simulation.time
-        self._last = simulation.sample().switching
-        return [Report(simulation.time_ns, self._encode(self._last), None)]
+        sample = simulation.sample()
+        self._last, self._presses = sample.switching, self._touching.presses(sample.registers)
+        return [Report(simulation.time_ns, self._encode(self._last), None)] if self._encode else []
 
     def drain(self):
         """[Report] of the instants since the last call, in the order of time."""
@@ -124,23 +134,30 @@ class JointReports:
         return self._sum_up(self._time)
 
     def _of_instant(self, instant):
-        time = instant.time
-        if not instant.events:  # a state that was set, or friction that reverses with the motion
-            same = np.array_equal(instant.modes, self._last)
-            self._last = instant.modes
-            return [] if same else [Report(round(time * 1e9), self._encode(instant.modes), None)]
-        self._last = instant.modes
+        time, touches = instant.time, self._touches(instant.branches)
+        texts, modes = [*map(self._text, instant.events), *(f"{name} {kind}" for name, kind in touches)], None
+        if self._encode and (instant.events or not np.array_equal(instant.modes, self._last)):
+            modes = self._encode(instant.modes, instant.events)
+        self._last, name = instant.modes, JOINT if instant.events else CONTACT
+        if not texts:  # a state that was set, friction that reverses with the motion, or another law
+            return [Report(round(time * 1e9), modes, None)] if modes else []
         reports = self._sum_up(time) if int(time) > self._second else []
         line = None
         if self._lines < LINES:
             self._lines += 1
-            line = f"{time:.9f} s: {'; '.join(map(self._text, instant.events))}"
+            line = f"{time:.9f} s: {'; '.join(texts)}"
         else:
             self._more += 1
-            self._kinds.update(event.kind for event in instant.events)
+            self._kinds.update([*(event.kind for event in instant.events), *(kind for _, kind in touches)])
             self._energy += math.fsum(event.energy for event in instant.events)
-        modes = self._encode(instant.modes, instant.events)
-        return [*reports, Report(round(time * 1e9), modes, line)]
+        return [*reports, *([Report(round(time * 1e9), modes, line, name)] if modes or line else [])]
+
+    def _touches(self, branches):
+        """[(contact, TOUCH or LEAVE)] of those that begin or end with some branches of laws."""
+        touching = self._touching
+        before, self._presses = self._presses, touching.presses_in(branches, self._presses)
+        was, now = touching.any_of(before), touching.any_of(self._presses)
+        return [(touching.names[k], TOUCH if now[k] else LEAVE) for k in np.flatnonzero(was != now)]
 
     def _text(self, event):
         if event.kind != IMPACT:
@@ -154,10 +171,10 @@ class JointReports:
         if self._more:
             kinds = ", ".join(f"{count} {kind}" for kind, count in sorted(self._kinds.items()))
             text = (
-                f"{time:.9f} s: {counted(self._more, 'more instant')} since {self._second} s: {kinds}; "
-                f"energy {self._energy:.6g} J"
+                f"{time:.9f} s: {counted(self._more, 'more instant')} since {self._second} s: {kinds}"
+                f"{f'; energy {self._energy:.6g} J' if self._encode else ''}"
             )
-            reports.append(Report(round(time * 1e9), None, text))
+            reports.append(Report(round(time * 1e9), None, text, JOINT if self._encode else CONTACT))
         self._clear()
         self._second = int(time)
         return reports

@@ -5,7 +5,8 @@ A body is drawn as its shape. A body without a shape is drawn as the homogeneous
 mass and inertia, with edges x^2 = 6 (I_y + I_z - I_x) / m about the principal axes. A robot is drawn
 with the visuals of its file; meshes must exist on this machine. A joint is a
 small sphere at the child's joint frame. An applied wrench is drawn as two arrows at the body's
-origin, one for the force and one for the torque; `arrow_scale` sets their length.
+origin, one for the force and one for the torque; `arrow_scale` sets their length. So is the force of a contact on its
+body, at the point of contact, while something presses. The planes that contacts touch are squares.
 """
 
 import dataclasses
@@ -20,6 +21,7 @@ from liegroup_core.scene.names import WORLD
 
 from .cdr import Template, stamp
 from .links import placer
+from .touching import planes
 
 CUBE, SPHERE, CYLINDER, ARROW, MESH = 1, 2, 3, 0, 10
 RIM = 0.08  # width of a wheel that is drawn, relative to its diameter
@@ -27,8 +29,9 @@ ADD, DELETE, DELETE_ALL = 0, 2, 3
 BODY_COLOR = (0.35, 0.55, 0.8, 0.9)
 JOINT_COLOR = (0.9, 0.6, 0.1, 1.0)
 FORCE_COLOR, TORQUE_COLOR = (0.8, 0.1, 0.1, 1.0), (0.5, 0.1, 0.7, 1.0)
+CONTACT_COLOR, PLANE_COLOR = (0.1, 0.6, 0.2, 1.0), (0.6, 0.6, 0.6, 0.4)
 # Relative to the size of the largest body of the scene.
-JOINT_SIZE, SHAFT, HEAD = 0.08, 0.03, 0.06
+JOINT_SIZE, SHAFT, HEAD, GROUND = 0.08, 0.03, 0.06, 20.0
 THINNEST = 0.01  # smallest edge of a marker; RViz does not draw size 0
 ENDS = ("parent_point", "child_point")
 TYPES = {"box": CUBE, "cylinder": CYLINDER, "rod": CYLINDER, "sphere": SPHERE}
@@ -53,8 +56,9 @@ class Markers:
         self._end.put("I", 1)
         _add(self._end, "", 0, CUBE, world_frame, (0.0,) * 3, (0.0,) * 4)
         owners, local = [], []  # body, and pose in it, of each marker except arrows
-        shapes = drawn(scene)
-        template.put("I", len(shapes) + len(scene.joints) + 2 * len(solids))
+        shapes, grounds = drawn(scene), planes(scene, np.mean([body.position for body in scene.bodies], axis=0))
+        contacts = layout.touching.names
+        template.put("I", len(shapes) + len(scene.joints) + len(grounds) + 2 * len(solids) + len(contacts))
         for i, (body, kind, size, pose, mesh, color) in enumerate(shapes):
             if kind != MESH:
                 size = np.maximum(size, THINNEST * largest)
@@ -67,10 +71,18 @@ class Markers:
             local.append(frame.copy())  # relative to the frame at the centre of mass
             local[-1][:3, 3] += offsets[joint.child]
             owners.append(joint.child)
+        thin = THINNEST * largest
+        for i, (point, turn) in enumerate(grounds):
+            _add(template, "planes", i, CUBE, world_frame, (GROUND * largest, GROUND * largest, thin), PLANE_COLOR)
+            owners.append(WORLD)
+            local.append(np.eye(4))
+            local[-1][:3, :3], local[-1][:3, 3] = turn, point - 0.5 * thin * turn[:, 2]
         self._places = placer(layout, owners, local)
         for name, color in (("forces", FORCE_COLOR), ("torques", TORQUE_COLOR)):
             for i in range(len(solids)):
                 _add(template, name, i, ARROW, world_frame, (SHAFT * largest, HEAD * largest, 0.0), color)
+        for i in range(len(contacts)):
+            _add(template, "contacts", i, ARROW, world_frame, (SHAFT * largest, HEAD * largest, 0.0), CONTACT_COLOR)
 
     def encode(self, stamp_ns, sample):
         """The serialized message."""
@@ -83,6 +95,10 @@ class Markers:
                 vector = wrench[part]
                 tip = [self.arrow_scale * component for component in vector]
                 slots += (time, (ADD if any(vector) else DELETE,), pose, (0.0, 0.0, 0.0, *tip))
+        for point, force in sample.contact_forces:
+            presses = bool(np.isfinite(point[0]))
+            ends = (*point, *(point + self.arrow_scale * force)) if presses else (0.0,) * 6
+            slots += (time, (ADD if presses else DELETE,), (0.0,) * 6 + (1.0,), ends)
         return self._template.pack(*slots)
 
     def encode_end(self, stamp_ns):

@@ -142,13 +142,6 @@ def reactions(layout, world_frame, frame_prefix=""):
     """
     joints, forces = [joint.name for joint in layout.scene.joints], layout.joint_forces
     labels = _labels(layout, (*joints, *forces))
-    taken = {*layout.body_names, *labels, *(sensor.name for sensor in layout.scene.sensors)}
-    for name, label in labels.items():
-        if label != name and label in taken:
-            raise ValueError(
-                f"~/{label}/wrench is for the joint or force {name}, which has the name of a body: give "
-                f"{label} another name"
-            )
 
     def of_joint(name):
         codec = WrenchStampedCodec(f"{frame_prefix}{name}{REACTION}")
@@ -182,9 +175,33 @@ def impulses(layout, frame_prefix=""):
     ]
 
 
+def contacts(layout, world_frame, frame_prefix=""):
+    """geometry_msgs/WrenchStamped of every contact on its body: `Sample.contact_wrenches`, in the frame of the body.
+
+    Names are those of `reactions`.
+    """
+
+    def of_contact(contact):
+        codec = WrenchStampedCodec(f"{frame_prefix}{contact.body}")
+        return lambda stamp_ns, sample: codec.encode(stamp_ns, sample.contact_wrenches[contact.name])
+
+    found = {force.name: force for force in layout.scene.forces if force.type == "contact"}
+    labels = _labels(layout, found)
+    return [(f"~/{labels[name]}/wrench", WrenchStampedCodec.TYPE, of_contact(each)) for name, each in found.items()]
+
+
 def _labels(layout, names):
-    """{joint or force: its name in topics}."""
-    return {name: f"{name}{REACTION}" if name in layout.body_names else name for name in names}
+    """{joint or force: its name in topics}. Raises ValueError if that is taken."""
+    labels = {name: f"{name}{REACTION}" if name in layout.body_names else name for name in names}
+    taken = {*layout.body_names, *(each.name for each in (*layout.scene.joints, *layout.scene.forces))}
+    taken |= {sensor.name for sensor in layout.scene.sensors}
+    for name, label in labels.items():
+        if label != name and label in taken:
+            raise ValueError(
+                f"~/{label}/wrench is for the joint or force {name}, which has the name of a body: give "
+                f"{label} another name"
+            )
+    return labels
 
 
 def fixed_frames(layout, frame_prefix=""):
@@ -257,6 +274,7 @@ OPTIONAL = {
     "joint_state_rate": (joint_states, "~/joint_states"),
     "tf_rate": (transforms, "/tf"),
     "reaction_rate": (reactions, "~/JOINT/wrench"),
+    "contact_rate": (contacts, "~/CONTACT/wrench"),
     "sensor_rate": (sensors, "~/SENSOR/..."),
 }
 

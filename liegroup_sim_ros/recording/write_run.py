@@ -20,7 +20,7 @@ from liegroup_core.joints.motion import FROM_SCENE
 from liegroup_sim_ros.messages import commands, estimates, events, inputs, law_states, schemas, topics
 from liegroup_sim_ros.messages import samples as sample_messages
 from liegroup_sim_ros.messages.codecs import LogCodec
-from liegroup_sim_ros.messages.joint_modes import JointReports
+from liegroup_sim_ros.messages.joint_modes import JointReports, has_reports
 from liegroup_sim_ros.numbers import counted
 
 from . import attachments
@@ -183,7 +183,7 @@ class LogFile:
             "diagnostics": topics.DIAGNOSTICS.resolved(NODE),
             **{kind: topic.resolved(NODE) for kind, topic in optional.items()},
         }
-        self._reports = JointReports(simulation) if layout.switches else None
+        self._reports = JointReports(simulation) if has_reports(layout) else None
         try:
             types = [topic.type for topic in (*motion, *optional.values(), topics.INPUTS, topics.EVENTS)]
             for message_type in [*types, *(message_type for _, message_type, _ in on_request)]:
@@ -255,7 +255,7 @@ class LogFile:
         if report.modes is not None:
             self._recorder.write(self._of["joint_modes"], report.time_ns, report.modes)
         if report.line is not None:
-            self._event(report.time_ns, "joint", report.line)
+            self._event(report.time_ns, report.name, report.line)
 
     def _impact(self, impact):
         for (channel, encode), impulse in zip(self._impulses, impact.array):

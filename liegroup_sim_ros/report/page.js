@@ -153,6 +153,8 @@ class Motion {
     this.bodies = view.bodies;
     this.times = numbers(view.times, Float64Array);
     this.places = numbers(view.places, Float32Array);
+    this.forces = numbers(view.forces, Float32Array);
+    this.touches = this.forces.length / 6 / this.times.length;
     this.breaks = new Set(view.breaks);
     this.layers = [0, 1].map(() => ({points: [], faces: [], opacity: 1}));   // opaque, transparent
     [...this.bodies, ...view.fixed].forEach((body, k) => {
@@ -184,7 +186,30 @@ class Motion {
       time >= from && (to === null || time < to)).map(([body]) => body));
   }
 
-  // x, y, z of links, joints and the layers of bodies
+  // Forces of contacts: from the point to the tip, with its head, a line each.
+  arrows(k) {
+    const lines = [];
+    for (let i = 0; i < this.touches; i++) {
+      const at = 6 * (k * this.touches + i), [start, tip] = [at, at + 3].map(p => [...this.forces.subarray(p, p + 3)]);
+      if (Number.isNaN(start[0])) continue;
+      const along = tip.map((x, axis) => x - start[axis]), thin = along.map(Math.abs), side = [0, 0, 0];
+      side[thin.indexOf(Math.min(...thin))] = .08 * Math.hypot(...along);
+      const barb = sign => tip.map((x, axis) => x - .2 * along[axis] + sign * side[axis]);
+      lines.push(start, tip, barb(1), barb(-1), tip, [null, null, null]);
+    }
+    return lines;
+  }
+
+  // Corners of the part of a plane that is below or beside the whole motion.
+  square([point, [t, s]], {x, y, z}) {
+    const reach = .5 * Math.hypot(...[x, y, z].map(({range: [low, high]}) => high - low));
+    const middle = [x, y, z].map(({range: [low, high]}) => .5 * (low + high));
+    const along = [t, s].map(axis => axis.reduce((sum, part, i) => sum + part * (middle[i] - point[i]), 0));
+    return [[-1, -1], [1, -1], [1, 1], [-1, 1]].map(([a, b]) => point.map(
+      (part, i) => part + (along[0] + a * reach) * t[i] + (along[1] + b * reach) * s[i]));
+  }
+
+  // x, y, z of links, joints, the layers of bodies, and the forces of contacts
   frame(k) {
     const poses = this.bodies.map((_, i) => this.pose(k, i));
     const parts = [[], []];
@@ -199,6 +224,7 @@ class Motion {
       parts[0].push(...ends.map(([i, at]) => i < 0 ? at : placed(...poses[i], at)), [null, null, null]);
     for (const {points} of this.layers)
       parts.push(points.map(([i, local]) => i < 0 ? local : placed(...poses[i], local)));
+    parts.push(this.arrows(k));
     return [0, 1, 2].map(axis => parts.map(part => part.map(place => place[axis])));
   }
 
@@ -293,7 +319,8 @@ function drawView(root, view, planes) {
   const [button, slider, speeds, output] = ["button", "input", "select", "output"].map(
     name => root.querySelector(name));
   const count = motion.times.length, start = motion.times[0], end = motion.times[count - 1];
-  const paths = motion.paths(), moving = [0, 1, ...motion.layers.map((_, n) => 2 + n)].map(k => paths.length + k);
+  const paths = motion.paths(), last = 2 + motion.layers.length;
+  const moving = [...Array(last + 1).keys()].map(k => paths.length + k);
   const scene = motion.axes(), height = narrow() ? 340 : 400;
   scene.camera = camera(scene.aspectratio, plot.clientWidth, height - view.layout.margin.t);
   const state = {frame: 0, time: start, playing: false, motion, plot, shown: ""};
@@ -313,11 +340,16 @@ function drawView(root, view, planes) {
          facecolor: motion.colours(k, layer), flatshading: true, hoverinfo: "text",
          text: layer.points.map(([i]) => i < 0 ? "fixed" : motion.bodies[i].name),
          showlegend: false, lighting: {ambient: .6, diffuse: .7, specular: .08, roughness: .9},
-         lightposition: {x: 2000, y: -4000, z: 6000}}))];
-    data.forEach((trace, i) => { if (i >= (narrow() ? 6 : 9)) trace.showlegend = false; });
+         lightposition: {x: 2000, y: -4000, z: 6000}})),
+      {type: "scatter3d", mode: "lines", name: "contact force", x: x[last], y: y[last], z: z[last], hoverinfo: "skip",
+       showlegend: motion.touches > 0, connectgaps: false, line: {color: "--green", width: 6}},
+      ...view.planes.map(plane => motion.square(plane, {x: scene.xaxis, y: scene.yaxis, z: scene.zaxis})).map(corners => (
+        {type: "mesh3d", x: corners.map(p => p[0]), y: corners.map(p => p[1]), z: corners.map(p => p[2]),
+         i: [0, 0], j: [1, 2], k: [2, 3], color: "--grey", opacity: .25, hoverinfo: "skip", showlegend: false}))];
+    paths.forEach((path, i) => { if (i >= (narrow() ? 6 : 9)) path.showlegend = false; });
     return Plotly.react(plot, themed(data), themed({...view.layout, scene,
       height, uirevision: 1, modebar: MODEBAR,
-      showlegend: paths.length > 1}), {
+      showlegend: paths.length > 1 || motion.touches > 0}), {
       ...CONFIG, scrollZoom: false, modeBarButtons: [["zoom3d", "pan3d", "tableRotation",
                                                       "resetCameraDefault3d"]]});
   }
@@ -339,7 +371,7 @@ function drawView(root, view, planes) {
     if (pushed !== state.shown) {
       state.shown = pushed;
       Plotly.restyle(plot, {facecolor: motion.layers.map(layer => themed(motion.colours(low, layer), "color"))},
-                     moving.slice(2));
+                     moving.slice(2, last));
     }
   }
 

@@ -8,7 +8,9 @@ import numpy as np
 import scipy
 
 from liegroup_core.scene.names import WORLD
+from liegroup_sim_ros.analysis.acting import sample_of
 from liegroup_sim_ros.messages.markers import CUBE, CYLINDER, THINNEST, links, solid
+from liegroup_sim_ros.messages.touching import arrows, planes
 
 from .plots import BASE, MANY_COLOURS, label
 from .shapes import box_of
@@ -26,6 +28,8 @@ def make_view(analysis, shapes=None):
                     inertia
     times, places : base64 of (k,) float64, and of (k, n, 7) float32: position and x y z w of the
                     body frames
+    planes        : (point, columns of axes, the last one normal) of those that contacts touch
+    forces        : base64 of float32 (k, c, 6): start and tip of the force of each contact, NaN where it is 0
     breaks        : last frames before a reset
     """
     scene, stretches = analysis.scene, analysis.motion.stretches
@@ -89,6 +93,7 @@ def make_view(analysis, shapes=None):
         for stretch in stretches
         for first, end, body in sorted((*pair, name) for name in index for pair in stretch.pushes_on(name).tolist())
     ]
+    size = np.linalg.norm(np.ptp(position[0], axis=0)) + max(np.linalg.norm(body["size"]) for body in bodies)
     seconds = float(times[-1] - times[0])
     return {
         "bodies": bodies,
@@ -97,6 +102,8 @@ def make_view(analysis, shapes=None):
         "links": [[[i, point.tolist()] for i, point in ends] for ends in links(scene)],
         "times": _packed(times, "<f8"),
         "places": _packed(places, "<f4"),
+        "planes": [[point.tolist(), turn.T.tolist()] for point, turn in planes(scene, position.mean(axis=(0, 1)))],
+        "forces": _packed(_forces(layout, stretches, pick - since[owner], owner, size), "<f4"),
         "breaks": np.flatnonzero(np.diff(owner)).tolist(),
         "pushes": pushes[:MOST_PUSHES],
         "frames": len(pick),
@@ -108,6 +115,14 @@ def make_view(analysis, shapes=None):
             "legend": {"orientation": "h", "x": 0, "y": 1, "yanchor": "top", "bgcolor": "rgba(0,0,0,0)"},
         },
     }
+
+
+def _forces(layout, stretches, rows, owner, size):
+    """(k, c, 2, 3) `arrows` of the samples `rows` (k,) of the stretches `owner` (k,)."""
+    found = np.full((len(rows), len(layout.touching.names), 2, 3), np.nan)
+    for k, (row, stretch) in enumerate(zip(rows, owner) if found.size else ()):
+        found[k] = arrows(sample_of(layout, stretches[stretch], row), size)
+    return found
 
 
 def _coloured(shapes):

@@ -48,6 +48,16 @@ def _accuracy_figures(simulation):
     }
 
 
+def contact_figures(sample):
+    """How many contacts press, and the deepest one; {} without contacts."""
+    names = sample.contact_wrenches
+    if not names:
+        return {}
+    depth, deepest = max((sample.signals[f"{name}.depth"], name) for name in names)
+    pressing = sum(name in sample.contact_points for name in names)
+    return {"contacts_pressing": pressing, "contact_depth_m": depth, "deepest_contact": deepest}
+
+
 class Saturation:
     """Servos at their effort limit; simulation : liegroup_core.Simulation."""
 

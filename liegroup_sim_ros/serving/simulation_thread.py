@@ -22,9 +22,9 @@ from liegroup_core.forces.commands import MOTION, TARGET
 from liegroup_core.pacing import Pacer
 from liegroup_core.threads import wake_on_time
 from liegroup_sim_ros.messages import events
-from liegroup_sim_ros.messages.joint_modes import JointReports
+from liegroup_sim_ros.messages.joint_modes import JointReports, has_reports
 
-from .figures import Saturation, error_figures, pacing_figures
+from .figures import Saturation, contact_figures, error_figures, pacing_figures
 from .inbox import Inbox
 from .lockstep import LOOK, Lockstep
 from .rates import Output, Rates
@@ -91,8 +91,7 @@ class SimulationServer(SimulationCommands, threading.Thread):
         self._origin = origin
         self._said = set()  # events that are sent once
         self._saturation = Saturation(simulation)
-        has_modes = simulation.layout.switches
-        self._reports = JointReports(simulation) if has_modes else None
+        self._reports = JointReports(simulation) if has_reports(simulation.layout) else None
         self._watching = False
         self._watch(watching)
         self._reference_energy = None  # J, at the last known instant without an applied wrench
@@ -392,12 +391,12 @@ class SimulationServer(SimulationCommands, threading.Thread):
                 self._warn_once("slip", events.slips(sample.contacts[joint], joint, sample.time), joint)
 
     def _send_report(self, report):
-        """Send a Report on joints with stops or friction."""
+        """Send a Report on joints and contacts."""
         stamp_ns = self._base_ns + report.time_ns
         if report.modes is not None:
             self._output.joint_modes(stamp_ns, report.modes)
         if report.line is not None:
-            self._output.event(stamp_ns, "joint", report.line)
+            self._output.event(stamp_ns, report.name, report.line)
 
     def _send_reports(self, which):
         if self._reports is not None:
@@ -504,7 +503,8 @@ class SimulationServer(SimulationCommands, threading.Thread):
             "constraint_residual": sample.constraint_residual,
             **error_figures(self._simulation, sample),
             **self._saturation.figures(sample),
-            **({"joint_events": self._simulation.event_count} if self._reports else {}),
+            **({"joint_events": self._simulation.event_count} if self._simulation.layout.switches else {}),
+            **contact_figures(sample),
             "wrenches_held": self.inputs_held,
             "inputs_replaced": self._inbox.replaced,
             **self.lockstep.figures(),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A mechanism in the page's 3-D view: bodies, joints, springs, wrenches, traces and error halos.
+"""A mechanism in the page's 3-D view: bodies, joints, springs, wrenches, contacts, traces and error halos.
 
 Names of nodes are numbers: a name of a file may contain anything.
 """
@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from liegroup_core.scene.names import WORLD
 from liegroup_sim_ros.messages.markers import CUBE, SPHERE, THINNEST, links, solid
+from liegroup_sim_ros.messages.touching import arrows
 from liegroup_sim_ros.report.shapes import decoded
 
 from .boxes import Boxes
@@ -29,6 +30,7 @@ COLOURS = (
 )
 JOINT, SPRING, TRACE, HALO, GHOST = (230, 160, 30), (120, 120, 120), (150, 60, 160), (220, 40, 40), (150, 150, 150)
 FORCE, TORQUE, PULL, GRAVITY, REACTION = (200, 30, 30), (130, 30, 180), (20, 120, 20), (60, 60, 60), (30, 90, 200)
+CONTACT = (20, 150, 50)
 PART, MOST_LARGE = 0.035, 6  # size of a joint relative to the mechanism; joints of this size, more are smaller
 LONGEST = 0.3  # of an arrow, relative to the mechanism
 MOST_TRACE = 400  # points of a trace
@@ -52,6 +54,7 @@ class Look(NamedTuple):
     joints: bool = True
     frames: bool = False
     wrenches: bool = True
+    contacts: bool = True
     reactions: bool = False
     gravity: bool = False
     trace: bool = False
@@ -101,7 +104,12 @@ class Drawing:
                     for i, body in enumerate(scene.bodies)
                 ]
             )  # fmt: skip
-        self._movers = [mover(server, handle) for handle in self._frames]
+            # Frames move at once; a browser takes longer for new points of arrows.
+            self._touches = [
+                api.add_frame(f"{self._root}/touch{k}", show_axes=False, visible=False)
+                for k in range(0 if ghost else len(layout.touching.names))
+            ]
+        self._movers = [mover(server, handle) for handle in (*self._frames, *self._touches)]
         self._springs = [] if ghost else links(scene)
         self._handles, self._largest, self._trace = {}, {}, []
         self._weights = np.outer([body.mass for body in scene.bodies], scene.gravity)
@@ -109,7 +117,7 @@ class Drawing:
 
     def remove(self):
         """Delete all nodes."""
-        for handle in (*self._frames, *self._handles.values()):
+        for handle in (*self._frames, *self._touches, *self._handles.values()):
             handle.remove()
 
     def _meshes(self, name, shapes, colour, ghost):
@@ -200,6 +208,12 @@ class Drawing:
         world = np.einsum("nij,nkj->nki", turns, wrenches.reshape(-1, 2, 3))
         self._arrows("forces", place, world[:, 1], FORCE, look.wrenches)
         self._arrows("torques", place, world[:, 0], TORQUE, look.wrenches)
+        for k, (start, tip) in enumerate(arrows(sample, self.size)):
+            presses = look.contacts and bool(np.isfinite(start[0]))
+            _set(self._touches[k], "visible", presses)
+            if presses:
+                self._movers[len(place) + k][0](start.tolist())
+                self._show_arrows(f"touch{k}/force", np.array([[np.zeros(3), tip - start]]), CONTACT)
         self._arrows("gravity", centres, self._weights, GRAVITY, look.gravity)
         starts, forces = self._reactions(sample) if look.reactions else (np.empty((0, 3)), np.empty((0, 3)))
         self._arrows("reactions", starts, forces, REACTION, look.reactions)
@@ -250,21 +264,28 @@ class Drawing:
         length = np.linalg.norm(vectors, axis=1)
         some = length > 0.0
         if not is_shown or not some.any():
-            if name in self._handles:
-                _set(self._handles[name], "visible", False)
+            self._show_arrows(name, np.empty((0, 2, 3)), colour)
             return
         largest = self._largest[name] = max(self._largest.get(name, 0.0), length.max())
         tips = starts + vectors * (LONGEST * self.size / largest)
-        points = np.stack([starts[some], tips[some]], axis=1).astype(np.float32)
-        handle = self._handles.get(name)
+        self._show_arrows(name, np.stack([starts[some], tips[some]], axis=1), colour)
+
+    def _show_arrows(self, name, points, colour):
+        """Arrows from and to points (k, 2, 3)."""
+        handle, size = self._handles.get(name), self.size
+        if not len(points):
+            if handle is not None:
+                _set(handle, "visible", False)
+            return
+        points = points.astype(np.float32)
         if handle is None or len(handle.points) != len(points):
-            size = self.size
             self._handles[name] = self._server.scene.add_arrows(
                 f"{self._root}/{name}", points, colour, shaft_radius=0.008 * size, head_radius=0.02 * size,
                 head_length=0.05 * size,
             )  # fmt: skip
             return
-        handle.points = points
+        if np.abs(handle.points - points).max() > UNSEEN * size:
+            handle.points = points
         _set(handle, "visible", True)
 
     def _show_lines(self, name, lines, colour, width=3.0):

@@ -3,7 +3,8 @@
 
 The spring makes the picked point swing at FREQUENCY in its most mobile direction: k = m (2 pi FREQUENCY)^2, with the
 effective mass m, the smallest eigenvalue of (J M^-1 J^T)^-1 at the point. So it feels alike on light
-and heavy bodies. With ctrl it is a spring of torsion about the axis that
+and heavy bodies. In scenes with contacts it swings faster where it must, so that the mouse can lift bodies: LIFT of the
+size of the mechanism stretches it by the weight of a body. With ctrl it is a spring of torsion about the axis that
 turns the body along the mouse. A pull ends HOLD after the last one: a page that hangs lets go.
 """
 
@@ -16,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from liegroup_core.forces.external import no_wrenches, set_wrench
 
-FREQUENCY, DAMPING = 1.0, 0.7  # Hz; part of critical damping
+FREQUENCY, DAMPING, LIFT = 1.0, 0.7, 0.1  # Hz; part of critical damping; of the size of the mechanism
 HOLD = 0.3  # s of simulated time that a pull acts
 TURN = 0.25  # of the size of the mechanism: distance of the mouse for one radian
 RECENT = 150  # frames in which a pressed body is looked for: 1.5 s of a simulation in real time
@@ -51,6 +52,8 @@ class Hand:
     def __init__(self, page, layout):
         self._page, self._layout = page, layout
         self._grip, self._lock, self.shown, self._discs = None, threading.Lock(), "", {}
+        lift = LIFT * layout.size if layout.touching.names else math.inf
+        self._omega = max(2.0 * math.pi * FREQUENCY, math.sqrt(math.hypot(*layout.scene.gravity) / lift))
         layout.reactions.warm_up()
 
     def take_hold(self, drawing):
@@ -160,7 +163,7 @@ class Hand:
 
     def spring(self, sample, grip):
         """Values (9,) of a pull at a Sample, see commands.py; None if the body cannot move that way."""
-        inertia, omega = self._inertia(sample, grip), 2.0 * math.pi * FREQUENCY
+        inertia, omega = self._inertia(sample, grip), self._omega
         if inertia is None:
             return None
         stiffness, damping = inertia * omega**2, 2.0 * DAMPING * omega * inertia

@@ -7,8 +7,10 @@ import threading
 import time
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from liegroup_core.errors import LieGroupSimError
+from liegroup_sim_ros.messages.touching import planes
 from liegroup_sim_ros.report.shapes import robot_shapes, shapes_from
 
 from .boxes import camera_at
@@ -25,12 +27,14 @@ ALOFT = (1.1, -1.3, 0.7)  # direction from the mechanism to the camera at the st
 # Pixels: a page from this width on has the panel at its right, else at the bottom; the panel's width with its margin;
 # and the part of a page's height that a panel at the bottom leaves.
 WIDE, PANEL, LEFT = 576, 340, 0.4
+STEEPER = 0.55  # tangent by which a camera looks down more into the upper part of a page: it stays above the ground
 SEEN = 200  # instants of a recording that the camera frames
 FIELD = math.radians(75.0)  # viewing angle of the camera, vertical
+LATE = 50  # views, ten seconds of them, that a slow browser may tell of late
 SAME_VIEW = 1e-3  # of the mechanism: a camera that is elsewhere was moved by the user
 SKY, EARTH, BRIGHT = (255, 255, 255), (140, 140, 140), 2.2  # light from above and below
 MOST_TRIANGLES = 200_000  # of all visuals; they are sent once
-FLOOR = 4.0  # size of the grid, relative to the mechanism
+FLOOR, FADES = 4.0, 20.0  # size of the grid, and where that of a contact's plane ends, relative to the mechanism
 
 
 class Page:
@@ -242,10 +246,17 @@ class Page:
         cell = 10.0 ** math.floor(math.log10(size))
         plane = {0: "yz", 1: "xz", 2: "xy"}[int(np.abs(up).argmax())]
         ground = up * min(0.0, lowest) if abs(lowest) < 5.0 * size else up * lowest
-        server.scene.add_grid(
-            "/ground", FLOOR * size, FLOOR * size, plane=plane, cell_size=0.5 * cell, section_size=cell,
-            position=tuple(middle - up * (middle @ up) + ground), plane_opacity=0.0,
-        )  # fmt: skip
+        grounds = planes(layout.scene, middle)
+        for k, (point, turn) in enumerate(grounds):
+            server.scene.add_grid(
+                f"/plane{k}", infinite_grid=True, cell_size=0.5 * cell, section_size=cell, fade_distance=FADES * size,
+                position=point, wxyz=np.roll(Rotation.from_matrix(turn).as_quat(), 1),
+            )  # fmt: skip
+        if not grounds:
+            server.scene.add_grid(
+                "/ground", FLOOR * size, FLOOR * size, plane=plane, cell_size=0.5 * cell, section_size=cell,
+                position=tuple(middle - up * (middle @ up) + ground), plane_opacity=0.0,
+            )  # fmt: skip
         # The library's environment map takes twice as long to the first picture without a GPU.
         server.scene.configure_environment_map(hdri=None)
         server.scene.add_light_hemisphere("/light", sky_color=SKY, ground_color=EARTH, intensity=BRIGHT)
@@ -264,8 +275,10 @@ class Page:
     def _camera(self, width, height):
         """(position, point that it looks at) of a camera that shows the mechanism beside the panel, pixels."""
         window = ((-1.0, 1.0 - 2.0 * PANEL / width), (-1.0, 1.0)) if width >= WIDE else ((-1, 1), (1 - 2 * LEFT, 1))
-        slope = math.tan(0.5 * FIELD)
-        return camera_at(*self._framed, *self._view, (slope * width / height, slope), window)
+        slope, (ahead, up) = math.tan(0.5 * FIELD), self._view
+        if width < WIDE:
+            ahead = (ahead + STEEPER * up) / np.linalg.norm(ahead + STEEPER * up)
+        return camera_at(*self._framed, ahead, up, (slope * width / height, slope), window)
 
     def _aim(self, client):
         """Let a client show what is framed, unless its user has moved the camera."""
@@ -274,14 +287,16 @@ class Page:
         if aimed == "moved" or not width or not height:
             return
         found = self._camera(width, height)
+        # A slow browser still tells of the library's view, that of the page's start, or of former ones.
+        known = aimed[1] if aimed else (camera.position, self._server.initial_camera.position)
         if aimed is not None:
             is_same = lambda other: np.abs(np.subtract(camera.position, other)).max() < SAME_VIEW * self._drawing.size  # noqa: E731
-            if not any(is_same(position) for position in aimed[1:]):
+            if not any(is_same(position) for position in known):
                 self._aimed[client.client_id] = "moved"
                 return
             if aimed[0] == (width, height, *found[0]):
                 return
-        self._aimed[client.client_id] = (width, height, *found[0]), found[0], (aimed or (0, found[0]))[1]
+        self._aimed[client.client_id] = (width, height, *found[0]), (*known[:2], *known[2:][-LATE:], found[0])
         with client.atomic():
             camera.position, camera.look_at = found
 

@@ -226,6 +226,7 @@ class Panel:
             "joints": "joints",
             "frames": "body frames",
             "wrenches": "applied wrenches",
+            "contacts": "forces of contacts",
             "reactions": "reactions",
             "gravity": "gravity",
             "trace": "traces",

@@ -17,7 +17,7 @@ from liegroup_core.inputs import Inputs
 from liegroup_core.joints.motion import FROM_SCENE
 from liegroup_core.layout import make_layout
 from liegroup_core.scene.load import scene_from_text
-from liegroup_sim_ros.messages import arrays, estimates, inputs, joint_modes, topics
+from liegroup_sim_ros.messages import arrays, estimates, inputs, joint_modes, law_states, topics
 from liegroup_sim_ros.messages.codecs import Fields, LogCodec, PoseStampedCodec, TwistStampedCodec
 from liegroup_sim_ros.messages.commands import JointStateDecoder, decode_motions, joint_labels
 from liegroup_sim_ros.messages.diagnostics import decode as decode_figures
@@ -114,7 +114,7 @@ class Remote(Source):
         layout = self.layout
         names = layout.body_names
         self._state, self._figures = Status("running", None, None, ""), {}
-        self._newest, self._arrived, self._errors = None, 0.0, None
+        self._newest, self._arrived, self._errors, self._laws = None, 0.0, None, None
         self._changed_ns = -1  # stamp of the last event that changed the state
         self._least, self._late = math.inf, 0.0  # s: smallest and present delay of a frame
         self._pose = np.tile(np.array([1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0, 0, 0, 0]), (len(names), 1))
@@ -140,6 +140,8 @@ class Remote(Source):
             self._subscribe(topics.MOTIONS, self._take_motions)
         if layout.switches:
             self._subscribe(topics.JOINT_MODES, self._take_modes)
+        if layout.states:
+            self._subscribe(topics.LAWS, self._take_laws)
         self._subscribe(topics.ERRORS, self._take_errors)
         self._subscribe(topics.INPUTS, self._take_inputs)
         self._subscribe(topics.EVENTS, self._take_event)
@@ -178,7 +180,9 @@ class Remote(Source):
         if any(one != stamp or other != stamp for one, other in self._stamps):
             return
         seconds = (stamp - self._base_ns) * 1e-9
-        near = None if self._newest is None else self._newest.sample.angles
+        near = None if self._newest is None else self._newest.sample.angles.copy()
+        if near is not None and self._laws is not None:
+            near[-len(self._laws) :] = self._laws
         sample = self.layout.sample(self._pose, self._twist, seconds, near=near)
         sample.errors, sample.acting = self._errors, self._acting(stamp)
         sample.joint_efforts = dict(self._inputs.schedule.efforts)
@@ -214,6 +218,9 @@ class Remote(Source):
     def _take_modes(self, payload):
         values = joint_modes.decode(payload)[1]
         self._modes = joint_modes.switching(np.reshape(values, (len(self._modes), -1)))
+
+    def _take_laws(self, payload):
+        self._laws = law_states.decode_rows(np.frombuffer(payload, np.uint8)[None], self.layout.states)[0]
 
     def _take_errors(self, payload):
         rows = estimates.decode_rows(np.frombuffer(payload, np.uint8)[None], self.layout.body_names)

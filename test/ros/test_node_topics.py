@@ -21,7 +21,7 @@ from geometry_msgs.msg import (
 )
 from mcap.reader import make_reader
 from nav_msgs.msg import Odometry
-from node_process import NodeProcess, on_grid, push_command, refusal, stamp_ns, stamp_of
+from node_process import NodeProcess, figures_of, on_grid, push_command, refusal, stamp_ns, stamp_of
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from scene_files import text_of
@@ -49,6 +49,7 @@ PERIODS = {
     "velocity_rate": 25,
     "joint_state_rate": 4,
     "reaction_rate": 200,
+    "contact_rate": 50,
     "sensor_rate": 250,
     "marker_rate": 40,
     "state_rate": 125,
@@ -69,6 +70,7 @@ class Shown:
             "joint_state_rate": client.listen(f"{NODE}/joint_states", JointState),
             "sensor_rate": client.listen(f"{NODE}/imu/imu", Imu),
             "reaction_rate": client.listen(f"{NODE}/elbow/wrench", WrenchStamped),
+            "contact_rate": client.listen(f"{NODE}/pad/wrench", WrenchStamped),
             "marker_rate": client.listen(f"{NODE}/markers", MarkerArray),
             "state_rate": client.listen(f"{NODE}/state", DiagnosticArray),
         }
@@ -192,6 +194,29 @@ def test_reactions_are_those_of_the_same_state(client, node):
     w = message.wrench
     found = (w.torque.x, w.torque.y, w.torque.z, w.force.x, w.force.y, w.force.z)
     assert found == pytest.approx(expected.tolist(), rel=1e-9, abs=1e-9)
+
+
+def test_a_contact_is_a_wrench_an_arrow_and_figures(client, node):
+    """The pad presses with 4 N along y, at (0.3, -0.1, 0) m of a body that turns about y."""
+    message = node.messages["contact_rate"][-1]
+    force, torque = message.wrench.force, message.wrench.torque
+    assert message.header.frame_id == f"{PREFIX}lower"
+    assert (force.x, force.y, force.z) == pytest.approx((0.0, 4.0, 0.0), abs=1e-9)
+    assert (torque.x, torque.y, torque.z) == pytest.approx((0.0, 0.0, 1.2), abs=1e-9)
+    markers = node.messages["marker_rate"][-1].markers
+    (body,), (arrow,), (plane,) = (
+        [m for m in markers if (m.ns, m.id) == key] for key in (("bodies", 1), ("contacts", 0), ("planes", 0))
+    )
+    q, p = body.pose.orientation, body.pose.position
+    place = Rotation.from_quat([q.x, q.y, q.z, q.w]).apply([0.3, -0.1, 0.0]) + [p.x, p.y, p.z]
+    ends = np.array([[end.x, end.y, end.z] for end in arrow.points])
+    assert arrow.action == Marker.ADD and ends == pytest.approx(np.array([place, place + [0.0, 0.4, 0.0]]), abs=1e-9)
+    q, p = plane.pose.orientation, plane.pose.position
+    up = Rotation.from_quat([q.x, q.y, q.z, q.w]).apply([0.0, 0.0, 0.5 * plane.scale.z])
+    assert up == pytest.approx([0.0, 0.5 * plane.scale.z, 0.0]) and p.y + up[1] == pytest.approx(0.3)
+    figures = figures_of(node.messages["state_rate"][-1])
+    assert (figures["contacts_pressing"], figures["deepest_contact"]) == ("1", "pad")
+    assert float(figures["contact_depth_m"]) == pytest.approx(0.4)
 
 
 def test_an_applied_wrench_is_shown_as_an_arrow(client, node):

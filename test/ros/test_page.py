@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from browser import CHROMIUM, Browser
 from made_run import PACING, PAIR, record
+from scene_files import text_of
 
 from liegroup_core import load_scene
 from liegroup_core.fields import values
@@ -66,6 +67,27 @@ def opened(browser, page, **look):
     browser.run("new Promise(done => setTimeout(done, 50))")
     assert browser.errors == [] and browser.dialogs == []
     assert browser.requests == [f"file://{page}"]
+
+
+@pytest.mark.turn(2)
+def test_a_report_shows_the_ground_and_the_force_of_a_contact(browser, tmp_path):
+    """Without a force in the fall; at rest the arrow is vertical, and begins in the drawn plane."""
+    (tmp_path / "slope.yaml").write_text(text_of("slope.yaml"))
+    run = ["run", str(tmp_path / "slope.yaml"), "--accuracy", "1e-6", "--duration", "2"]
+    assert main([*run, "--out", str(tmp_path / "slope.mcap")]) == 0
+    assert main(["analyze", str(tmp_path / "slope.mcap"), "--no-reference", "--html", str(tmp_path / "a.html")]) == 0
+    opened(browser, tmp_path / "a.html")
+    code = (
+        "(f => { const s = document.querySelector('input'); s.value = f * s.max; s.dispatchEvent(new Event('input'));"
+        " const d = views[0].plot.data, a = d.find(t => t.name === 'contact force'), p = d.at(-1);"
+        " return [[a.x, a.y, a.z], p.type, [p.x, p.y, p.z]]; })"
+    )
+    assert browser.run(f"{code}(0)")[0] == [[], [], []]
+    arrow, kind, plane = browser.run(f"{code}(1)")
+    start, tip = np.array([axis[:2] for axis in arrow], dtype=float).T
+    assert kind == "mesh3d" and tip[2] - start[2] > 0.1 and tip[:2] == pytest.approx(start[:2], abs=1e-3)
+    normal = np.array([np.sin(0.2), 0.0, np.cos(0.2)])
+    assert normal @ plane == pytest.approx(0.0, abs=1e-9) and abs(normal @ start) < 1e-3  # it sinks by 0.25 mm
 
 
 @pytest.mark.turn(2)

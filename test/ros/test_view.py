@@ -2,6 +2,7 @@
 """The live page: its guard, its sources, and what a real browser with a real mouse does with them."""
 
 import asyncio
+import contextlib
 import importlib.metadata
 import io
 import math
@@ -48,7 +49,7 @@ DRAWS = [
     "--force-device-scale-factor=0.25",
 ]
 SIZE = {"width": 760, "height": 480}  # of the picture, which processors draw
-BLOCK = text_of("block.yaml")
+BLOCK, SLOPE = text_of("block.yaml"), text_of("slope.yaml")
 BOX = "box"
 CODE = "<img src=x onerror=alert(1)>{x}"  # a text that a page must not take for code
 
@@ -412,6 +413,72 @@ def test_a_node_is_shown_pulled_and_paused(opened, client, tmp_path):
     assert {recording.inputs[k].source for k in range(len(recording.inputs))} == {"service/box/view"}
 
 
+@pytest.mark.turn(2)
+def test_a_node_with_a_contact_is_shown(client, tmp_path):
+    """Touching is an event at its time, and at rest the contact carries the weight, also along the slope."""
+    from geometry_msgs.msg import WrenchStamped
+    from node_process import DDS, NodeProcess, stamp_of
+
+    from liegroup_sim_ros.view.remote import Remote
+
+    scene, weight = tmp_path / "slope.yaml", 2.0 * 9.81
+    scene.write_text(SLOPE)
+    events, wrenches = client.events("/sim_node"), client.listen("/sim_node/floor/wrench", WrenchStamped)
+    with NodeProcess({"scene": scene, "accuracy": 1e-6, "contact_rate": 100.0}), pytest.MonkeyPatch.context() as patch:
+        for name, value in DDS.items():
+            patch.setenv(name, value)
+        client.until(lambda: wrenches, "a wrench")
+        source = Remote("/sim_node")
+        page = Page(source, port=8200)
+        try:
+            page.start()
+            client.until(lambda: source.frame() is not None and source.frame().time > 2.0, "rest")
+            page._drawing._handles.pop("touch0/force", None)
+            client.until(lambda: "touch0/force" in page._drawing._handles, "an arrow")
+            frame, (begin, tip) = source.frame(), page._drawing._handles["touch0/force"].points[0]
+            shown = page._drawing._touches[0].visible
+        finally:
+            page.stop()
+            source.close()
+    first = next(event for event in events if event.name == "contact")
+    # It falls across the slope with g cos 0.2; an error of 1e-7 m is one of 1e-7 s at 0.98 m/s.
+    fall = math.sqrt(2.0 * 0.05 / (9.81 * math.cos(0.2)))
+    assert first.msg.endswith(" s: floor touch") and stamp_of(first) == pytest.approx(1e9 * fall, abs=100.0)
+    assert float(first.msg.partition(" ")[0]) == pytest.approx(fall, abs=1e-7)
+    # It leans by the moment of the friction over that of its four corners, 0.15 m away, of weight / 1 mm each.
+    slope = 0.2 + weight * math.sin(0.2) * 0.05 / (4.0 * 1e3 * weight * 0.15**2)
+    force, torque = (getattr(wrenches[-1].wrench, part) for part in ("force", "torque"))
+    expected = (-weight * math.sin(slope), 0.0, weight * math.cos(slope))
+    assert (force.x, force.y, force.z) == pytest.approx(expected, abs=1e-5)  # of this angle's square, 1e-8
+    assert (torque.x, torque.y, torque.z) == pytest.approx((0.0, 0.0, 0.0), abs=1e-5)
+    point, found = frame.sample.contact_forces[0]
+    assert abs(point @ (math.sin(0.2), 0.0, math.cos(0.2))) < 3e-4  # it sinks 0.25 mm
+    assert found == pytest.approx([0.0, 0.0, weight], abs=1e-5)
+    assert shown and not begin.any() and tip == pytest.approx([0.0, 0.0, 0.75 * page._drawing.size], abs=1e-5)
+
+
+@pytest.mark.parametrize("width, height", [(1280, 800), (390, 844)])
+def test_the_camera_stays_above_the_ground_and_follows_for_a_slow_browser(width, height):
+    """The browser tells of the library's view, then of that of the start and a former one, after the page has aimed."""
+    page = Page(Local(Simulation(scene_from_text(SLOPE), quiet=True), "slope", paused=True), port=8200)
+    try:
+        camera = SimpleNamespace(image_width=width, image_height=height, position=np.full(3, 3.0), look_at=None)
+        shown = SimpleNamespace(client_id=0, camera=camera, atomic=contextlib.nullcontext)
+        start, moved = page._server.initial_camera.position, []
+        for seen in (None, lambda: np.full(3, 3.0), lambda: start, None, lambda: moved[1]):
+            page._framed = tuple(corner + [0.5, 0.0, 0.0] for corner in page._framed)
+            camera.position = seen() if seen else camera.position
+            page._aim(shown)
+            moved.append(camera.position)
+        assert (np.diff(moved, axis=0)[:, 0] > 0.1).all() and min(each[2] for each in moved) > 0.1
+        camera.position = camera.position + 0.1  # by the user
+        page._aim(shown)
+        assert page._aimed[0] == "moved"
+    finally:
+        page.stop()
+        page.source.close()
+
+
 def test_a_time_line_goes_back_to_every_instant_that_was_seen():
     """Also between two states that were kept, and while wrenches act: the state is that of the frame, bit by bit."""
     source = Local(Simulation(load_scene("double_pendulum")), "pendulum", factor=4.0)
@@ -473,15 +540,20 @@ def test_the_mouse_picks_where_a_body_was():
     assert boxes.picked(np.array([-1.5, -9.0, 0.0]), np.array([0.0, 1.0, 0.0]), poses, body=1)[1] == 1
 
 
-@pytest.mark.parametrize("name, body", [("double_pendulum", 1), ("four_bar", 1), ("heavy_top", 0), ("free_body", 0)])
+@pytest.mark.parametrize(
+    "name, body", [("double_pendulum", 1), ("four_bar", 1), ("heavy_top", 0), ("free_body", 0), ("slope", 0)]
+)
 @pytest.mark.turn(3)
 def test_the_hand_pulls_with_the_stated_frequency(name, body):
-    """The acceleration of the picked point along the most mobile direction is (2 pi f)^2 times the stretch."""
+    """The acceleration of the picked point along the most mobile direction is (2 pi f)^2 times the stretch.
+
+    With a contact, the weight of a free body stretches it by a tenth of the mechanism at the most.
+    """
 
     class Nowhere:
         source, cursor = None, None
 
-    simulation = Simulation(load_scene(name))
+    simulation = Simulation(scene_from_text(SLOPE) if name == "slope" else load_scene(name))
     hand, sample = Hand(Nowhere, simulation.layout), simulation.sample()
     point = np.array([0.01, 0.02, 0.03])
     pose, scene = sample.pose[body], simulation.scene
@@ -496,6 +568,8 @@ def test_the_hand_pulls_with_the_stated_frequency(name, body):
     stretch = 0.1 * vectors[:, -1]
     rate = turn @ (sample.twist[body, 3:] + np.cross(sample.twist[body, :3], point))
     omega = 2.0 * math.pi * FREQUENCY
+    if name == "slope":
+        omega = max(omega, math.sqrt(9.81 / (0.1 * simulation.layout.size)))
     k, c, *to = hand.spring(sample, Grip(body, point, at + stretch, None, 0))
     force, torque = k * (np.array(to[:3]) - at) - c * rate, np.array(to[3:])
     expected = (omega**2 * stretch - 1.4 * omega * rate) / values[-1]

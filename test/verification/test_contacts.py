@@ -153,6 +153,60 @@ def test_forces_of_supports_are_those_of_statics():
     assert shown["left.depth"] == pytest.approx(0.5 * shown["left.normal_force"] / 1e5, rel=1e-6)
 
 
+SHAPES = {
+    "sphere": "type: sphere, radius: 0.1",
+    "capsule": "type: capsule, radius: 0.1, length: 0.3",
+    "cylinder": "type: cylinder, radius: 0.1, length: 0.3",
+    "box": "type: box, size: [0.3, 0.2, 0.1]",
+    "hull": "type: hull, points: [[0.1, 0, 0], [0, 0.2, 0], [0, 0, 0.3], [-0.1, -0.1, -0.1]]",
+}
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.4])
+@pytest.mark.parametrize("other", [False, True])
+@pytest.mark.parametrize("kind", SHAPES)
+def test_wrenches_and_points_are_those_of_newton_and_euler(kind, other, friction):
+    """The wrench moves a free body as the engine says. About the point of contact it has no moment.
+
+    Of several points with friction, which acts at different depths, this holds without friction only. The point of a
+    sphere is below its centre in a plane, and in the middle of the region that two would occupy.
+    """
+    if other and kind not in ("sphere", "capsule"):
+        return
+    rng = np.random.default_rng(3)
+    normal, turn = rng.normal(size=3), scipy.spatial.transform.Rotation.random(rng=rng)
+    normal /= np.linalg.norm(normal)
+    com, moments, place = np.array([0.05, -0.02, 0.03]), np.array([0.02, 0.03, 0.04]), np.array([0.02, 0.01, -0.03])
+    shape = f"shape: {{{SHAPES[kind]}, position: {place.tolist()}}}, stiffness: 1e4, damping: 0.1"
+    shape += f", friction: {friction}, slip: 1e-3" if friction else ""
+    touches = "other: ball" if other else f"plane: {{point: [0.1, 0.2, 0.3], normal: {normal.tolist()}}}"
+    bodies = [f"{{name: b, mass: 2, com: {com.tolist()}, inertia: {moments.tolist()}}}"]
+    bodies += [BALL % (0.0, 0.0, 0.0)] if other else []
+    made = Simulation(scene(bodies, [f"name: c, body: b, {shape}, {touches}"]), "rkmk4", 1e-3, quiet=True).layout
+    pose, twist = np.tile([1.0, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0], (len(bodies), 1)), np.zeros((len(bodies), 6))
+    pose[0, :9], twist[0] = turn.as_matrix().ravel(), rng.normal(size=6)
+    if other:  # along the normal from the ball, which lets both overlap by 1 cm at the most
+        pose[0, 9:] = 0.19 * normal - turn.apply(place)
+    else:
+        pose[0, 9:] += (made.sample(pose, twist).signals["c.depth"] - 0.01) * normal
+    sample = made.sample(pose, twist)
+    wrench, w, dv = sample.contact_wrenches["c"], twist[0, :3], sample.accelerations["b"]
+    assert sample.signals["c.normal_force"] > 0.0
+    force = 2.0 * (dv[3:] + np.cross(dv[:3], com) + np.cross(w, np.cross(w, com)) + turn.inv().apply([0, 0, G]))
+    about_com = moments * dv[:3] + np.cross(w, moments * w)
+    assert_allclose(wrench[3:], force, atol=1e-11 * np.abs(force).max())
+    assert_allclose(wrench[:3], about_com + np.cross(com, force), atol=1e-11 * np.abs(force).max())
+    point, centre = sample.contact_points["c"], pose[0, 9:] + turn.apply(place)
+    assert_allclose(sample.contact_forces[0], [point, turn.apply(wrench[3:])], rtol=1e-14)
+    if not friction or kind in ("sphere", "capsule"):
+        arm = turn.inv().apply(point - pose[0, 9:])
+        assert_allclose(wrench[:3], np.cross(arm, wrench[3:]), atol=1e-12 * np.abs(force).max())
+    if kind == "sphere":
+        down = -centre / np.linalg.norm(centre) if other else -normal
+        deep = 0.5 * sample.signals["c.depth"] if other else 0.0
+        assert_allclose(point, centre + (0.1 - deep) * down, atol=1e-14)
+
+
 def test_a_sliding_cylinder_rolls_with_two_thirds_of_its_speed():
     """On its side, of moment m r^2 / 2 about its axis; it does not turn about the vertical."""
     body = (

@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What contacts exert on their bodies, and where: from the registers of their laws (forces/contact.py)."""
+
+import numpy as np
+
+from liegroup_core.forces.formulas import BELOW, OPEN
+from liegroup_core.forces.law import results_of
+from liegroup_core.lie.groups import cross
+
+
+class Touching:
+    """Points of the contacts of a Layout.
+
+    names  : of the contacts, in the order of the scene
+    bodies : (c,) numbers of the bodies on which they act
+    """
+
+    def __init__(self, layout):
+        described, laws = layout.centred.forces, layout.model.forces.laws
+        self.names = tuple(force.name for force in described if force.type == "contact")
+        self._com = layout.offsets.com
+        signals = {key: int(at) for key, at in zip(results_of(described)[1], laws.signals)}
+        rows, points = iter(laws.outputs), []
+        for force in (each for each in described if hasattr(each, "as_law")):
+            own = [next(rows) for each in force.as_law.outputs if each.servo is None]
+            for k, *names in force.points if force.type == "contact" else ():
+                register = lambda each, law=force.name: signals.get((law, f"signals.{each}"), -1)  # noqa: E731
+                normal, arm = names
+                numbers = [each if register(each) < 0 else 0.0 for each in arm]
+                points.append((force.name, own[k], register(normal), [register(each) for each in arm], numbers))
+        owners, rows, normals, arms, numbers = zip(*points) if points else ((),) * 5
+        self._of = np.array([[owner == name for owner in owners] for name in self.names], dtype=float)
+        self._bodies = np.array([row["body"] for row in rows], dtype=int)
+        self._points = np.array([row["point"] for row in rows], dtype=float).reshape(-1, 3)
+        self._registers = np.array([row["registers"] for row in rows], dtype=int).reshape(-1, 6)
+        self._normals, self._arms = np.array(normals, dtype=int), np.array(arms, dtype=int).reshape(-1, 3)
+        self._numbers = np.array(numbers, dtype=float).reshape(-1, 3)
+        self.bodies = self._bodies[self._of.argmax(axis=1)] if self.names else self._bodies
+        # A normal force is `... if depth > 0 and damping*leaving < 1 else 0`: the kinks of both comparisons.
+        writes, kinks = (
+            {int(row[1]): row for row in laws.code},
+            {int(laws.code[i, 1]): k for k, i in enumerate(laws.kinks)},
+        )
+        both = [writes[int(writes[normal][2])][2:4] for normal in normals]
+        self._kinks = np.array([[kinks[int(each)] for each in pair] for pair in both], dtype=int).reshape(-1, 2)
+
+    def presses(self, registers):
+        """(m,) whether each point of a contact presses."""
+        return registers[self._normals, 0] > 0.0
+
+    def presses_in(self, branches, before):
+        """The same by the branches (q,) of the kinks of laws; before : as it was, where a branch is open."""
+        found = branches[self._kinks]
+        return np.where((found == OPEN).any(axis=1), before, (found == BELOW).all(axis=1))
+
+    def any_of(self, presses):
+        """(c,) whether some point of each contact presses, by `presses` (m,)."""
+        return self._of @ presses > 0.0
+
+    def at(self, registers, pose):
+        """(c, 9) per contact: centre of pressure, world axes, or NaN; torque and force on the body, as Sample.
+
+        registers : (m, 2) of the laws, computed;  pose : (n, 12) of the frames at the centres of mass
+        """
+        values, own = registers[:, 0], pose[self._bodies]
+        starts = (own[:, :9].reshape(-1, 3, 3) @ self._points[:, :, None])[..., 0]
+        places = own[:, 9:] + starts + np.where(self._arms < 0, self._numbers, values[self._arms])
+        torques, forces = values[self._registers[:, :3]], values[self._registers[:, 3:]]
+        weights = self._of * values[self._normals]
+        with np.errstate(invalid="ignore"):
+            centres = weights @ places / weights.sum(axis=1, keepdims=True)
+        turns = pose[self.bodies, :9].reshape(-1, 3, 3)
+        torque, force = (
+            ((self._of @ each)[:, None] @ turns)[:, 0] for each in (torques + cross(starts, forces), forces)
+        )
+        return np.hstack([centres, torque + cross(self._com[self.bodies], force), force])
