@@ -244,6 +244,8 @@ class _Walk:
     def _Name(self, node, _):
         if node.id in CONSTANTS:
             return self._program.number(CONSTANTS[node.id])
+        if node.id in FUNCTIONS or node.id in self._tables:
+            raise FormulaError(f"{node.id} is a function: write its argument in parentheses")
         if node.id not in self._names:
             raise FormulaError(f"unknown name {node.id!r:.60}; {suggestion(node.id, [*self._names, *RESERVED[1:]])}")
         return self._names[node.id]

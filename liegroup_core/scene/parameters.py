@@ -85,15 +85,22 @@ def _entry(model, key):
     return entry
 
 
+def _short(path):
+    """Path of a parameter of a law as law.NAME.PARAMETER; of others the path."""
+    kind, *owner, key = path.split(".")
+    is_of_law = kind == "forces" and owner[-1:] == ["parameters"]
+    return ".".join(["", "law", *owner[:-1], key]) if is_of_law else path
+
+
 def path_of(scene, name):
-    """Path for a name: the path itself or its unambiguous ending.
+    """Path for a name: the path itself or its unambiguous ending, of a law also law.NAME.PARAMETER.
 
     raises ParameterError with the known names
     """
     known = parameters(scene)
     if name in known:
         return name
-    found = [path for path in known if path.endswith(f".{name}")]
+    found = [path for path in known if path.endswith(f".{name}") or _short(path).endswith(f".{name}")]
     if len(found) == 1:
         return found[0]
     if found:
@@ -103,7 +110,7 @@ def path_of(scene, name):
         if group and f".{path}".endswith(f".{group}"):
             where, _, entry = path.rpartition(".")
             raise ParameterError(f"{where} has no {entry}: write {entry}: {{{key}: ...}} there, with a first guess")
-    ends = {".".join(path.split(".")[-k:]): path for path in known for k in (1, 2, 3)}
+    ends = {".".join(text.split(".")[-k:]): path for path in known for text in (path, _short(path)) for k in (1, 2, 3)}
     close = [ends[end] for end in difflib.get_close_matches(name, list(ends), n=3, cutoff=0.7)]
     close += difflib.get_close_matches(name, list(known), n=3, cutoff=0.6)
     meant = f"did you mean {_listed(list(dict.fromkeys(close)), 3, 'or')}? " if close else ""
