@@ -47,7 +47,7 @@ forces:
 """
 # The same without the stop, with friction that holds the hinge at times.
 KINKED = CONTROLLED.replace(",\n   limits: {lower: -0.3, upper: 0.95, restitution: 0.5}", "").replace(
-    "effort: a}", 'effort: "a - 3*(1 if w > 0 else -1) - 4*max(q - 0.4, 0)"}'
+    "effort: a}", 'effort: "a - 15*(1 if w > 0 else -1) - 4*max(q - 0.4, 0)"}'
 )
 # Sampled laws with periods that steps do not divide, delays and states, and a continuous one that reads their signals.
 SENSORS = """sensors:
