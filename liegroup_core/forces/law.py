@@ -756,8 +756,17 @@ def _add(body, torque, force, wrench_out):
 
 
 @kernel
+def forget_branches(laws, registers):
+    """Let surfaces have the branches that were kept, see `_read`."""
+    for j in range(len(laws.surfaces)):
+        registers[laws.code[laws.kinks[laws.surfaces[j]], 4], 0] = UNKNOWN
+
+
+@kernel
 def set_branches(laws, branches, registers):
-    """Set the branches (q,) of the kinks; (0,): those of the arguments hold."""
+    """Set the branches (q,) of the kinks; (0,): those of the arguments hold, or those that were kept."""
+    if len(branches) == 0:
+        forget_branches(laws, registers)
     for k in range(len(branches)):
         registers[laws.code[laws.kinks[k], 4], 0] = branches[k]
 
@@ -981,8 +990,7 @@ def enter_numbers(laws, time, angle, registers):
     first = len(angle) - len(laws.states)
     for s in range(len(laws.states)):
         registers[laws.states[s, 0], 0] = angle[first + s]
-    for j in range(len(laws.surfaces)):
-        registers[laws.code[laws.kinks[laws.surfaces[j]], 4], 0] = UNKNOWN
+    forget_branches(laws, registers)
 
 
 @kernel
