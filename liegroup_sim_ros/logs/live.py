@@ -49,7 +49,7 @@ class LiveBag:
                 wrong = BagError(f"{topic}: {error}")
                 continue
             stamp = stamp_of(message)
-            if kept and stamp < kept[-1][1] - BACK:
+            if kept and 0 < stamp < kept[-1][1] - BACK:
                 is_new = True
                 for each in self._kept.values():
                     each.clear()

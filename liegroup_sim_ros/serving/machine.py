@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A machine beside a running simulation: how well, and how far ahead, the scene predicts it.
 
-Stamps of the machine are compared with the wall time at which its messages arrive: clocks that differ by less than APART
-count as one, others as constantly apart. Commands act when they arrive here.
+Stamps of the machine are compared with the wall time at which its messages arrive: clocks that differ by less than
+APART count as one, others as constantly apart. Commands act when they arrive here.
 """
 
 import contextlib
