@@ -137,7 +137,7 @@ def horizons(fit, near, solution, ends=None, since=-np.inf):
         times = [s.times[s.places[t]] - s.start - length for s, length in zip(segments, shown)]
         if ends is not None:
             for rest, at, segment in zip(residuals, times, segments):
-                rest[t][(at <= 0.0) | (each.times[segment.rows[t]] < since)] = np.nan
+                rest[t][(at < 1e-9) | (each.times[segment.rows[t]] < since)] = np.nan
         intervals = _intervals(each, times) if ends is None else ends
         for p, name in enumerate(each.channels):
             longest = max(range(len(times)), key=lambda k: times[k][-1] if len(times[k]) else 0.0)

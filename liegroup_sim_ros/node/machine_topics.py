@@ -10,7 +10,7 @@ from liegroup_core.errors import SceneError
 from liegroup_sim_ros.logs.map import load_map
 from liegroup_sim_ros.messages import topics
 from liegroup_sim_ros.messages.codecs import MessageError
-from liegroup_sim_ros.serving.machine import Machine
+from liegroup_sim_ros.serving.machine import RealMachine
 
 from .parameters import NodeParameterError
 
@@ -32,7 +32,7 @@ class MachineTopics:
             if values.machine.endswith(MAPS):
                 given = load_map(values.machine)
                 names = [each.topic for each in (*given.inputs, *given.measurements)]
-            self.machine = Machine(scene, layout, given, values, _decoded)
+            self.machine = RealMachine(scene, layout, given, values, _decoded)
         except SceneError as error:
             raise NodeParameterError(f"parameter machine: {error}") from None
         self._node, self._outputs, self._stream = node, outputs, outputs.add(topics.MACHINE)

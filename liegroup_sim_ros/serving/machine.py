@@ -41,7 +41,7 @@ AGAIN = 0.5  # of a bound, below which predictions are right again
 NICE = 10  # of the thread: the simulation comes first
 
 
-class Machine(threading.Thread):
+class RealMachine(threading.Thread):
     """Comparison of a scene with the last messages of a machine; a thread of its own.
 
     scene, layout : Scene, and its Layout
