@@ -10,7 +10,7 @@ from liegroup_sim_ros.messages.codecs import MessageError
 
 from .bag import LOOKED_AT, BagError, TopicMessages, listed, names_of, number_of, stamp_of
 
-DENSEST = 4_000_000  # ns between the messages of a topic that are kept: more show nothing new of a motion
+DENSEST = 4_000_000  # ns between the messages of one source that are kept: 75 of them show a start of a Shadow
 BACK = 1_000_000_000  # ns: a stamp that is earlier by more begins a new run of the machine
 
 
@@ -24,7 +24,7 @@ class LiveBag:
 
     def __init__(self, decode):
         self._decode, self._lock = decode, threading.Lock()
-        self.topics, self._waiting, self._kept, self._fields, self.newest = {}, deque(maxlen=100_000), {}, {}, 0
+        self.topics, self._waiting, self._kept, self._last, self.newest = {}, deque(maxlen=100_000), {}, {}, 0
 
     def take(self, topic, kind, log_ns, payload):
         """Add a message that was received at a wall time."""
@@ -41,14 +41,15 @@ class LiveBag:
         is_new, wrong = False, None
         for topic, kind, log_ns, payload in waiting:
             kept = self._kept.setdefault(topic, deque())
-            if kept and 0 <= log_ns - kept[-1][0] < DENSEST:
-                continue
             try:
                 message = self._decode(kind, payload)
             except MessageError as error:
                 wrong = BagError(f"{topic}: {error}")
                 continue
-            stamp = stamp_of(message)
+            stamp, source = stamp_of(message), (topic, *names_of([message]))  # several drivers may share a topic
+            if 0 <= log_ns - self._last.get(source, -DENSEST) < DENSEST:
+                continue
+            self._last[source] = log_ns
             if kept and 0 < stamp < kept[-1][1] - BACK:
                 is_new = True
                 for each in self._kept.values():

@@ -3,6 +3,7 @@
 
 import importlib
 
+from rclpy.exceptions import NameValidationException
 from rclpy.qos import qos_profile_sensor_data
 from rclpy.serialization import deserialize_message
 
@@ -33,10 +34,10 @@ class MachineTopics:
                 given = load_map(values.machine)
                 names = [each.topic for each in (*given.inputs, *given.measurements)]
             self.machine = RealMachine(scene, layout, given, values, _decoded)
-        except SceneError as error:
-            raise NodeParameterError(f"parameter machine: {error}") from None
-        self._node, self._outputs, self._stream = node, outputs, outputs.add(topics.MACHINE)
-        self._wanted, self._subscriptions = {node.resolve_topic_name(name): name for name in names}, []
+            self._wanted = {node.resolve_topic_name(name): name for name in names}
+        except (SceneError, NameValidationException) as error:
+            raise NodeParameterError(f"parameter machine: {' '.join(str(error).split())}") from None
+        self._node, self._outputs, self._stream, self._subscriptions = node, outputs, outputs.add(topics.MACHINE), []
         self._timer = node.create_timer(LOOK, self._look)
         outputs.at_steps.append(self._publish)
         outputs.after.append(self.machine.watch)

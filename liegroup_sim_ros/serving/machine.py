@@ -36,8 +36,10 @@ SILENT = 2.0  # s without a message
 # Standard deviations by which a prediction is off for more than chance: with ten intervals of ten outputs four times a
 # second, a right model with normal noise exceeds it less than once a week.
 SURE = 6.0
+PATIENCE = 1.0  # s for the end of a comparison
 NONE = "no message yet"
 AGAIN = 0.5  # of a bound, below which predictions are right again
+KEPT_NS = 30 * 10**9  # ns of wall time for which it is known what acted
 NICE = 10  # of the thread: the simulation comes first
 
 
@@ -93,6 +95,8 @@ class RealMachine(threading.Thread):
         if before is None or not before.is_same(sample.acting):
             with self._lock:
                 self._acts.append((start, now, sample.time, sample.acting))
+                while len(self._acts) > 1 and self._acts[1][0] < now - KEPT_NS:
+                    self._acts.popleft()
 
     def news(self):
         """[(message or None, text of an event or "")] since the last call."""
@@ -106,10 +110,10 @@ class RealMachine(threading.Thread):
         return self._figures
 
     def stop(self):
-        """End the thread."""
+        """End the thread; it may still finish a comparison."""
         self._ending.set()
         if self.is_alive():
-            self.join()
+            self.join(PATIENCE)
 
     # In its thread:
 
@@ -162,7 +166,7 @@ class RealMachine(threading.Thread):
         for note in found.notes:
             self._say(note)
         self._seconds = self._shadow.seconds(found)
-        horizons = self._shadow.horizons(replace(found, acting=self._acting(late, found)))
+        horizons = self._shadow.horizons(replace(found, acting=self._acting(late)))
         if horizons:
             self._judge(horizons, (time.time_ns() - newest) * 1e-9)
         return ""
@@ -176,12 +180,9 @@ class RealMachine(threading.Thread):
         root["inputs"] = [each for each in root["inputs"] if each["input"].endswith(MOTION)]
         return Map(**root)
 
-    def _acting(self, late, found):
-        """((time in s, Acting)) of the simulation, in times of the log."""
+    def _acting(self, late):
+        """((time in s, Acting)) of the simulation, in times of the log; late: ns of the clock of the log."""
         with self._lock:
-            begin = (found.spans[0][0] * 1e9) + self._origin + late
-            while len(self._acts) > 1 and self._acts[1][0] < begin:
-                self._acts.popleft()
             acts, last, rows = list(self._acts), -math.inf, []
         for start, now, at, acting in acts:
             last = max(last, (start - late - self._origin) * 1e-9)

@@ -8,6 +8,7 @@ those of its stamps, so that no delay of this process is an error.
 import math
 import threading
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,7 +18,11 @@ from scene_files import text_of
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-from liegroup_sim_ros.messages.machine import AHEAD, COLUMNS
+from liegroup_core.layout import make_layout
+from liegroup_core.scene.load import scene_from_text
+from liegroup_sim_ros.logs.map import Map
+from liegroup_sim_ros.messages.machine import AHEAD, COLUMNS, decode
+from liegroup_sim_ros.serving.machine import RealMachine
 from liegroup_sim_ros.view.remote import Remote
 
 STIFFNESS, MASS, NOISE, EFFORT, TOLERANCE = 20.0, 2.0, 1e-3, 6.0, 0.05
@@ -139,3 +144,34 @@ def test_a_machine_beside_a_node(client, machine, tmp_path):
         client.until(lambda: figures()["machine_note"].startswith("no message for"), "a note on silence")
         text = process.end()
     assert "departs from the scene" in text and "without a stamp" in text
+
+
+@pytest.mark.parametrize("force", [0.0, 8.0])
+def test_poses_and_inputs_of_a_map(force):
+    """A body that flies, by its closed form, with a force of which the map tells or the machine alone knows."""
+    text = "name: fly\ngravity: [0, 0, -9.81]\nbodies: [{name: ball, mass: 2.0, inertia: [0.1, 0.1, 0.1]}]\n"
+    scene, values = scene_from_text(text), SimpleNamespace(machine_tolerance=0.05, machine_ahead=1.0)
+    for is_told in (True, False):
+        given = {"measurements": ({"output": "ball.pose", "topic": "/mocap", "field": "pose", "noise": 1e-4},)}
+        if is_told:
+            given["inputs"] = ({"input": "ball.force_x", "topic": "/thrust", "field": "data"},)
+        machine = RealMachine(scene, make_layout(scene), Map(**given), values, lambda kind, message: message)
+        now = time.time_ns()
+        for k in range(400):
+            at = now + (k - 400) * 10_000_000
+            t = 0.01 * k
+            place = {"x": 0.25 * force * t**2, "y": 0.0, "z": 5.0 * t - 0.5 * 9.81 * t**2}
+            header = {"stamp": dict(zip(("sec", "nanosec"), divmod(at, 10**9)))}
+            turn = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
+            pose = {"header": header, "pose": {"position": place, "orientation": turn}}
+            machine._bag.take("/thrust", "float", at, {"header": header, "data": force})
+            machine._bag.take("/mocap", "pose", at, pose)
+        assert machine._compare() == ""
+        ((message, event),) = machine.news()
+        # Without the force, a start is a line through 0.3 s of a parabola: 2 (0.15 + t)^2 - 0.015 m off, t s later.
+        departs = force > 0.0 and not is_told
+        assert bool(event) == departs and machine.figures["machine_horizon_s"] == (AHEAD[-1] if not departs else 0.0)
+        if departs:  # of times from 0.7 s to 1 s
+            assert machine.figures["machine_output"] == "ball.x" and machine.figures["machine_error_ahead_s"] == 1.0
+            assert 2.0 * 0.85**2 - 0.015 < machine.figures["machine_error"] < 2.0 * 1.15**2 - 0.015
+        assert decode(message)["ball.z"]["error_1s"] < 1e-3
