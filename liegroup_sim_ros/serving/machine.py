@@ -8,7 +8,6 @@ APART count as one, others as constantly apart. Commands act when they arrive he
 import contextlib
 import logging
 import math
-import os
 import re
 import threading
 import time
@@ -40,7 +39,6 @@ PATIENCE = 1.0  # s for the end of a comparison
 NONE = "no message yet"
 AGAIN = 0.5  # of a bound, below which predictions are right again
 KEPT_NS = 30 * 10**9  # ns of wall time for which it is known what acted
-NICE = 10  # of the thread: the simulation comes first
 
 
 class RealMachine(threading.Thread):
@@ -119,8 +117,6 @@ class RealMachine(threading.Thread):
 
     def run(self):
         """Compare until `stop`."""
-        with contextlib.suppress(OSError, AttributeError):  # a scheduler without priorities of threads
-            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICE)
         pause, before = PERIOD, ""
         while not self._ending.wait(pause):
             began = time.monotonic()
