@@ -18,6 +18,7 @@ import numpy as np
 
 from liegroup_core.errors import LieGroupSimError
 from liegroup_core.identification.log import MOTION, Given, Log, Measured
+from liegroup_core.identification.runs import Runs
 from liegroup_core.identification.shadow import Shadow
 from liegroup_core.scene.yaml_text import read_yaml
 from liegroup_sim_ros.logs.bag import BagError
@@ -76,9 +77,10 @@ class RealMachine(threading.Thread):
         names = tuple(self._layout.catalogue.names(names, "output"))
         zeros = np.zeros((len(times), len(names)))
         acting = [Given(name, times, zeros[:, 0]) for group in inputs for name in group if not name.endswith(MOTION)]
-        with contextlib.suppress(LieGroupSimError if given is None else ArithmeticError):
-            measured = Measured("", times, names, zeros, np.ones(len(names)), 0.0)
-            Shadow(self._scene).horizons(Log(tuple(acting), (measured,)))
+        rest = Log(tuple(acting), (Measured("", times, names, zeros, np.ones(len(names)), 0.0),))
+        Runs(self._scene, rest)  # raises SceneError for unknown names
+        with contextlib.suppress(LieGroupSimError, ValueError):  # the scene may not be able to rest there
+            Shadow(self._scene).horizons(rest)
 
     # From other threads:
 
