@@ -232,7 +232,7 @@ def _explained(fit, near, outputs, owners):
             P, k = on @ P @ on.T, k + 1
         deviations = []
         for t, (parts, of) in enumerate(zip(variances, own)):
-            here = np.sqrt(np.vstack(parts)) * fit.deviation[t]
+            here = np.sqrt(np.maximum(np.vstack(parts), 0.0)) * fit.deviation[t]  # round-off may be negative
             spread = fit.runs.log.measured[t].spread
             here = np.where(here < np.maximum(spread, fit.deviation[t]), here, np.inf)
             deviations.append(here[: len(of)])
