@@ -16,8 +16,8 @@ free    : pendulum without a motor, encoder, 100 of 1000 Hz; the first piece tha
 chaotic : the same with two arms, 200 of 1000 Hz; pieces are held out after those that are fitted, as of large motions.
           https://github.com/dynamicslab/MultiArm-Pendulum: ParameterEstimation/*Pendulum
 
-All numbers are judged by `compare` on what is held out: of the worst output, rms of its interval that ends next to a
-time ahead. mujoco.sysid (pip install 'mujoco[sysid]') gets pieces of 1 s, with starts from the measurements around
+All numbers are judged on what is held out, as by `compare`: rms of the worst output in the interval that ends next to
+a time ahead. mujoco.sysid (pip install 'mujoco[sysid]') gets pieces of 1 s, with starts from the measurements around
 them, and limits of a factor of five. Times are those of the process, all threads.
 """
 
@@ -33,6 +33,8 @@ from rich.console import Console
 from rich.table import Table
 
 from liegroup_core.identification import Given, Log, Measured, compare, identify
+from liegroup_core.identification.comparison import fitted
+from liegroup_core.identification.horizon import horizons
 from liegroup_core.identification.log import joined
 from liegroup_core.linear.numbers import Numbers
 from liegroup_core.scene.load import scene_from_text
@@ -222,24 +224,16 @@ def main():
     table = Table(
         "numbers", *numbers.paths, *(f"rms {ahead:g} s ahead" for ahead in AHEAD), f"within {SERVES:g} rad", "CPU, s"
     )
-    verdicts = []
     for code, (values, spent) in found.items():
-        one = compare(numbers.scene_at(values), case.held_out)
-        errors = []
+        fit, near, solution, _ = fitted(numbers.scene_at(values), case.held_out)
+        judged, errors = horizons(fit, near, solution), []
         for ahead in AHEAD:
-            worst = [each.error[np.argmin(np.abs(each.ahead - ahead))] for each in one.horizons]
+            worst = [each.error[np.argmin(np.abs(each.ahead - ahead))] for each in judged]
             errors.append(f"{max(worst):.2g} rad")
-        table.add_row(
-            code,
-            *(f"{v:.4g}" for v in values),
-            *errors,
-            f"{min(each.within(SERVES) for each in one.horizons):.2g} s",
-            f"{spent:.0f}",
-        )
-        verdicts.append(f"{code}: {one.verdict}")
+        serves = f"{min(each.within(SERVES) for each in judged):.2g} s"
+        table.add_row(code, *(f"{v:.4g}" for v in values), *errors, serves, f"{spent:.0f}")
     console.print(table)
-    for verdict in verdicts:
-        console.print(verdict)
+    console.print(f"identify: {compare(numbers.scene_at(found['identify'][0]), case.held_out).verdict}")
 
 
 if __name__ == "__main__":
