@@ -216,7 +216,7 @@ def fitted(scene, log, names=(), workers=None, limits=None, priors=None, held_ou
     bounds = _divided(log.usable.spans, length)
     while True:
         kept = max(1, len(bounds) - round(held_out * len(bounds)))
-        near = _refined(fit, fit.solve(_in_turn(fit, continued(fit, bounds[:kept], point)), ROUGHLY))
+        near = refined(fit, fit.solve(_in_turn(fit, continued(fit, bounds[:kept], point)), ROUGHLY))
         point = near.point
         if _is_near(fit, near) or length <= shortest(fit.runs.log):
             return fit, near, tied(fit, near), bounds[kept:]
@@ -239,7 +239,7 @@ def _length(fit, point, count=FEW_SEGMENTS):
             for start in first + (last - first) * np.arange(count) / count
         ]
         point = in_short_steps(few, continued(few, np.array(bounds), point))
-        solution = _refined(few, few.solve(point, ROUGHLY))
+        solution = refined(few, few.solve(point, ROUGHLY))
         if best is not None and not _is_near(few, solution):
             break
         best, found, point, length = length, solution, solution.point, 2.0 * length
@@ -282,7 +282,7 @@ def _is_near(fit, solution):
     return solution.converged and excess(fit, solution) <= LINEAR and solution.growth <= PARTED
 
 
-def _refined(fit, solution):
+def refined(fit, solution):
     """Solution with the noise that is in the residuals, and steps that are short enough for it."""
     for _ in range(MOST_REFINED):
         before, point = list(fit.deviation), solution.point

@@ -99,10 +99,13 @@ class Horizon:
 
 
 @one_blas_thread()
-def horizons(fit, near, solution):
+def horizons(fit, near, solution, ends=None, since=-np.inf):
     """[Horizon] of the outputs of a Solution; none where no run goes on.
 
-    near : Solution whose segments are free: runs begin at their starts, as they are with the numbers of the other one
+    near  : Solution whose segments are free: runs begin at their starts, as they are with the numbers of the other one
+    ends  : (h,) s, ends of the intervals of times ahead, which then count from the end of the segment that shows the
+            start; None: by a ratio up to the end of the longest run, and from the start
+    since : s, of the first measurement that counts
     """
     runs, step = fit.runs, fit.apart_from(near.point, solution.point)
     shared = np.nan_to_num(solution.covariance, posinf=0.0)
@@ -127,21 +130,32 @@ def horizons(fit, near, solution):
     residuals = fit.residuals(point, outputs)
     explained = _explained(fit, near, outputs, [(k, known[k]) for k in owners])
     numerical, found = fit.errors(outputs, finer), []
+    segments, shown = runs.segments(point), np.zeros(len(owners))
+    if ends is not None:
+        shown = np.diff(near.point.bounds)[list(owners), 0]
     for t, each in enumerate(runs.log.measured):
-        times = [s.times[s.places[t]] - s.start for s in runs.segments(point)]
-        last = max((at[-1] for at in times if len(at)), default=0.0)
-        first = FIRST * float(np.median(np.diff(each.times))) if len(each.times) > 1 else last
-        count = int(np.log(max(last / max(first, 1e-9), 1.0)) / np.log(RATIO))
-        ends = last * RATIO ** -np.arange(count, -1.0, -1.0)
+        times = [s.times[s.places[t]] - s.start - length for s, length in zip(segments, shown)]
+        if ends is not None:
+            for rest, at, segment in zip(residuals, times, segments):
+                rest[t][(at < 1e-9) | (each.times[segment.rows[t]] < since)] = np.nan
+        intervals = _intervals(each, times) if ends is None else ends
         for p, name in enumerate(each.channels):
             longest = max(range(len(times)), key=lambda k: times[k][-1] if len(times[k]) else 0.0)
-            run = _run(runs.segments(point)[longest], each, t, p, *(of[longest] for of in (outputs, explained)))
+            run = _run(segments[longest], each, t, p, *(of[longest] for of in (outputs, explained)))
             parts = [[part[t][:, p] for part in of] for of in (residuals, explained, numerical)]
             sigma = float(fit.deviation[t][p])
-            rows = _rows(ends, times, *parts)
+            rows = _rows(intervals, times, *parts)
             useful = _rounded(TENTH * float(each.spread[p]))
             found.append(Horizon(name, each.name, kinds[t][p], sigma, *rows.T, useful, run))
     return [replace(each, level=LEVEL / len(found)) for each in found if len(each.ahead)]
+
+
+def _intervals(measured, times):
+    """(h,) s, ends of intervals of times ahead [(r,)], the last one that of the longest run."""
+    last = max((at[-1] for at in times if len(at)), default=0.0)
+    first = FIRST * float(np.median(np.diff(measured.times))) if len(measured.times) > 1 else last
+    count = int(np.log(max(last / max(first, 1e-9), 1.0)) / np.log(RATIO))
+    return last * RATIO ** -np.arange(count, -1.0, -1.0)
 
 
 def _run(segment, measured, t, p, outputs, explained):
@@ -218,7 +232,7 @@ def _explained(fit, near, outputs, owners):
             P, k = on @ P @ on.T, k + 1
         deviations = []
         for t, (parts, of) in enumerate(zip(variances, own)):
-            here = np.sqrt(np.vstack(parts)) * fit.deviation[t]
+            here = np.sqrt(np.maximum(np.vstack(parts), 0.0)) * fit.deviation[t]  # round-off may be negative
             spread = fit.runs.log.measured[t].spread
             here = np.where(here < np.maximum(spread, fit.deviation[t]), here, np.inf)
             deviations.append(here[: len(of)])

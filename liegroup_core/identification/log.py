@@ -157,6 +157,7 @@ class Log:
     measured : [Measured]
     parts    : [(first, last)] times in s of the measurements of each recording that is joined; none: of all
     drives   : [Given] positions of driven joints
+    acting   : [(time in s, Acting)] what acts from then on, in place of the scene's; none: by the scene
     Raises SceneError for times that do not increase, or without measurements.
     """
 
@@ -165,6 +166,7 @@ class Log:
     notes: tuple = field(default=())
     parts: tuple = field(default=())
     drives: tuple = field(default=())
+    acting: tuple = field(default=())
 
     def __post_init__(self):
         for each in (*self.inputs, *self.drives, *self.measured):

@@ -152,21 +152,30 @@ class Machine:
         self._wrenches, self._shifts = inputs.changes(0)
         self.efforts = inputs.efforts
         self._targets = self.probe.acting.targets.copy()
+        self._kept = np.ones_like(self._targets)
         for k, name in enumerate(inputs.names):  # a target replaces that of the scene
             if name.rpartition(".")[2] in ("target", "target_velocity"):
                 self._targets[self._shifts[k] != 0.0] = 0.0
+                self._kept[self._shifts[k] != 0.0] = 0.0
         self.outputs = [OutputChannels(self.probe, each.channels, turns) for each in log.measured]
         self.turns, self._rubbing = self.outputs[0].turns, _friction(scene, log)
-        self._changes = 0.0, np.zeros(0)
+        self.use(log)
         limited = [switch for switch in self.layout.switches if switch.limits is not None]
         self._limits = {each.name: (each.limits.least, each.limits.largest) for each in limited}
         names = self.layout.coordinates.names
         self._rigid = [each.name for each in limited if each.limits.stiffness is None and each.name in names]
 
+    def use(self, log):
+        """Go on with another log that has the same channels."""
+        self.log, self._changes = log, (0.0, np.zeros(0))
+        self._times = np.array([time for time, _ in log.acting])
+        self._given = [np.array(parts) for parts in zip(*(acting for _, acting in log.acting))]
+
     def changes(self, end):
         """Times in s up to an end at which inputs of the scene change."""
         if end > self._changes[0]:
-            self._changes = 2.0 * end, _changes(self.engine, 2.0 * end + SHIFT) - SHIFT
+            own = _changes(self.engine, 2.0 * end + SHIFT) - SHIFT
+            self._changes = 2.0 * end, np.unique(np.concatenate([own, self._times]))
         return self._changes[1][self._changes[1] < end]
 
     @property
@@ -210,7 +219,7 @@ class Machine:
             return replace(state, time=time)
         wanted = {
             joint: at(row, time + SHIFT)[:2]
-            for joint, row in zip(self.layout.motions, self.layout.motions_at(time + SHIFT))
+            for joint, row in zip(self.layout.motions, self._motions(np.array([time + SHIFT]))[0])
         }
         if math.isnan(state.time):  # the start of the scene may be far away
             self._go(replace(state, time=0.0))
@@ -300,10 +309,11 @@ class Machine:
         segment = replace(segment, inputs=segment.inputs * self._factors)
         engine, work, count = self.engine, self.engine._work, len(segment.inputs)
         middles = SHIFT + segment.times[:-1] + 0.5 * np.diff(segment.times)
-        wrenches = self._of_scene(middles) + np.tensordot(segment.inputs, self._wrenches, 1)
+        wrenches, targets = self._acting(middles)
+        wrenches = wrenches + np.tensordot(segment.inputs, self._wrenches, 1)
         if extra is not None:
             wrenches += extra
-        targets = self._targets + np.tensordot(segment.inputs, self._shifts, 1)
+        targets = targets + np.tensordot(segment.inputs, self._shifts, 1)
         counts = np.maximum(1, np.ceil(np.diff(segment.times) / self.longest - 1e-9)).astype(int) << halves
         places = np.full(count + 1, -1)
         places[seen] = np.arange(len(seen))
@@ -321,6 +331,23 @@ class Machine:
             raise SimulationError(f"{reason(engine, status)}{hint}", status & 0xFF)
         return path
 
+    def _acting(self, times):
+        """External wrenches and targets without inputs of the log, with a first axis of times (m,) in s, or without."""
+        if self._given:
+            rows = self._rows(times)
+            return self._given[0][rows], self._given[1][rows] * self._kept
+        return self._of_scene(times), self._targets
+
+    def _rows(self, times):
+        """(m,) rows of what is given by the log at times (m,) in s; before the first one, it acts, too."""
+        return np.maximum(np.searchsorted(self._times, times - SHIFT, side="right") - 1, 0)
+
+    def _motions(self, times):
+        """(m, d, 7) motions of the driven joints at times (m,) in s."""
+        if not self._given or self.log.drives:
+            return self.layout.motions_along(times)
+        return self._given[2][self._rows(times)] + SHIFT * (np.arange(COLUMNS) == 0)
+
     def _of_scene(self, times):
         """External wrenches of the scene, (m, n, COLUMNS) at times (m,) in s, or (n, COLUMNS) if there are none."""
         if not any(force.type == "applied_wrench" for force in self.layout.scene.forces):
@@ -332,7 +359,7 @@ class Machine:
         """Run through the parts of a Segment, compiled from one change of stops or friction to the next; a status."""
         engine, work, times = self.engine, self.engine._work, segment.times
         n, m, s, d = len(engine._pose), len(counts), len(work.targets), len(work.motions)
-        late = self.layout.motions_along(SHIFT + times[:-1] + 0.5 * np.diff(times))
+        late = self._motions(SHIFT + times[:-1] + 0.5 * np.diff(times))
         motions = late.reshape(-1, COLUMNS).copy()
         motions[:, 0] -= SHIFT  # compiled parts have the times of the log, which are more exact
         wrenches, targets = path.wrenches.reshape(m * n, path.wrenches.shape[2]), path.targets.reshape(-1, 2)
@@ -425,7 +452,7 @@ class Path:
             self.angles[k].copy(),
         )
         if len(self.wrenches):
-            motions = machine.layout.motions_at(instant.time)
+            motions = machine._motions(np.array([instant.time]))[0]
             found.acting = Acting(self.wrenches[part], self.targets[part], motions)
             found.joint_efforts = machine.efforts(self._segment.inputs[part])
         if engine._switching is not None:

@@ -103,6 +103,12 @@ class Runs:
             known[key] = Machine(scene, self.log, self.longest, self._in_space, self._turns, factors)
         return known[key]
 
+    def use(self, log):
+        """Go on, in this thread, with another log that has the same channels."""
+        self.log, self._segments, self._starts = log, (None, None), (None, None)
+        for each in vars(self._own).get("machines", {}).values():
+            each.use(log)
+
     def segments(self, point):
         """[Segment] of Unknowns."""
         key = point.bounds.tobytes(), point.delays.tobytes()

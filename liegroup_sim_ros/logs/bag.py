@@ -158,13 +158,7 @@ class Bag:
 
     def names(self, topic, most=LOOKED_AT):
         """Names in the first messages of a topic: of entries of lists. Raises BagError."""
-        found = {}
-        for message in islice(self.messages(topic), most):
-            for key, value in message.items():
-                if isinstance(value, list):
-                    own = value if key in NAMES else [e.get(n) for e in value if isinstance(e, dict) for n in OWN_NAMES]
-                    found |= dict.fromkeys(each for each in own if isinstance(each, str))
-        return list(found)
+        return names_of(islice(self.messages(topic), most))
 
     def read(self, wanted):
         """{topic: TopicMessages} of fields {topic: [Field]}. Raises BagError."""
@@ -176,7 +170,7 @@ class Bag:
             topic, message = connection.topic, self._decoded(connection, data)
             logs, stamps, values = rows[topic]
             logs.append(log_ns)
-            stamps.append(_stamp(message))
+            stamps.append(stamp_of(message))
             values.append([number_of(field(message)) for field in wanted[topic]])
         found = {}
         for topic, (logs, stamps, values) in rows.items():
@@ -226,7 +220,18 @@ def number_of(value):
     return float(value) if isinstance(value, (int, float)) else np.nan
 
 
-def _stamp(message):
+def names_of(messages):
+    """Names in messages: of entries of lists."""
+    found = {}
+    for message in messages:
+        for key, value in message.items():
+            if isinstance(value, list):
+                own = value if key in NAMES else [e.get(n) for e in value if isinstance(e, dict) for n in OWN_NAMES]
+                found |= dict.fromkeys(each for each in own if isinstance(each, str))
+    return list(found)
+
+
+def stamp_of(message):
     """ns of the header of a message, or of its first part with one; 0 without."""
     for part in (message, *(value[0] for value in message.values() if isinstance(value, list) and value)):
         stamp = part.get("header", {}).get("stamp") if isinstance(part, dict) else None

@@ -72,10 +72,11 @@ def outputs_of(name, scene):
     return [present_name(each, scene.sensors) for each in channels_of(name, scene)]
 
 
-def load_log(bag, given, scene, turns):
+def load_log(bag, given, scene, turns, origin=None):
     """Log of a Bag and a Map.
 
-    turns : {body: (3, 3)} attitudes at the start of the scene, to which rotation vectors refer
+    turns  : {body: (3, 3)} attitudes at the start of the scene, to which rotation vectors refer
+    origin : ns, stamp at the start of the log; None: the first stamp
     Raises BagError, SceneError.
     """
     wanted, of = {}, {}
@@ -91,13 +92,15 @@ def load_log(bag, given, scene, turns):
     delays = {clock.topic: clock.delay for clock in given.clocks}
     moved = _moved(found, times, delays, notes)
     times = {topic: (stamps + moved[topic], rows) for topic, (stamps, rows) in times.items()}
-    origin = min(int(stamps[0]) for stamps, _ in times.values())
+    first = min(int(stamps[0]) for stamps, _ in times.values())
+    origin = first if origin is None else origin
     seconds = {topic: (stamps - origin) * 1e-9 for topic, (stamps, _) in times.items()}
     spans = [each[-1] for each in seconds.values()]
     for topic, each in seconds.items():
         if (span := each[-1] - each[0]) > LATE_STAMPS:
             raise BagError(f"the stamps of {topic} span {span:.6g} s, more than a day: check their unit")
-    if max(each[0] for each in seconds.values()) > max(spans) or max(spans) > LATE_STAMPS:
+    whole = max(spans) - (first - origin) * 1e-9
+    if max(each[0] for each in seconds.values()) > max(spans) or whole > LATE_STAMPS:
         late = max(seconds, key=lambda topic: seconds[topic][0])
         raise BagError(
             f"the stamps of {late} are {seconds[late][0]:.6g} s after the others: their clocks have no common origin"
@@ -202,7 +205,8 @@ def _moved(found, times, delays, notes):
         late[topic] = middle
         if high - low > STEADY:
             late[topic] = np.nan
-            notes.append(f"{topic}: the times of recording are {low:.6g} s to {high:.6g} s after the stamps")
+            spread = f"{low:.6g} s to {high:.6g} s after the stamps, {high - low:.2g} s apart"
+            notes.append(f"{topic}: the times of recording are {spread}")
     first = next(iter(late))
     for topic, middle in late.items():
         apart = middle - late[first]

@@ -57,4 +57,6 @@ def judge(figures):
         return WARN, f"not predictable from t = {figures['predictable_until_s']:.9g} s on"
     if figures.get("accurate_until_s", math.inf) < math.inf:
         return WARN, f"accurate until t = {figures['accurate_until_s']:.9g} s only"
+    if text := figures.get("machine_departs") or figures.get("machine_note"):
+        return WARN, f"machine: {text}"
     return OK, figures["state"]

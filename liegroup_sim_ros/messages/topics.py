@@ -8,7 +8,7 @@ in samples.py and markers.py.
 
 from typing import NamedTuple
 
-from . import arrays, description, diagnostics, estimates, inputs, joint_modes, law_states, matrices
+from . import arrays, description, diagnostics, estimates, inputs, joint_modes, law_states, machine, matrices
 from .codecs import ClockCodec, LogCodec, PoseStampedCodec, TwistStampedCodec
 from .commands import ARRAY, JOINT_STATE
 
@@ -74,6 +74,7 @@ MOTIONS = Topic("~/motions", ARRAY, "transient_local", 10)  # each message has a
 JOINT_MODES = Topic("~/joint_modes", joint_modes.TYPE, "transient_local", 100)
 IMPULSES_KEPT = 100  # messages of ~/JOINT/impulse: impacts come in bursts
 EVENTS = Topic("~/events", LogCodec.TYPE, "transient_local", 50)
+MACHINE = Topic("~/machine", machine.TYPE)  # beside a real machine
 STATIC_TRANSFORMS = Topic("/tf_static", "tf2_msgs/msg/TFMessage", "transient_local", 1)
 DESCRIPTION = Topic("~/robot_description", description.TYPE, "transient_local", 1)
 CLOCK = Topic("/clock", ClockCodec.TYPE, depth=1)

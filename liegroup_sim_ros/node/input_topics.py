@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Subscriptions to inputs of a node: serialized messages, and a log of those that are refused."""
 
+import time
 from functools import partial
 
 from rclpy.qos import QoSProfile
@@ -50,7 +51,9 @@ class InputTopics:
         return topic in self.stamped
 
     def _take(self, topic, read, payload):
-        lockstep = self._server.lockstep
+        lockstep, machine = self._server.lockstep, self._server.machine
+        if machine is not None:
+            machine.arrived = machine.arrived or time.time_ns()
         if topic in lockstep.rates:
             lockstep.receive(topic, payload, lambda payload, asked: read(payload, topic, asked))
         else:

@@ -158,6 +158,23 @@ TABLE = (
     ),
     Entry("record_split_duration", 0.0, "simulated time after which a new file begins", "s", 0.0, 1e9, means="never"),
     Entry("record_metadata", False, "write a metadata.yaml that makes the folder a rosbag2 bag"),
+    Entry(
+        "machine",
+        "",
+        "topics of a real machine to compare the scene with, such as /joint_states, separated by commas, or a map "
+        "(*.yaml) as for `liegroup_sim compare`",
+        means="none",
+    ),
+    _live("machine_tolerance", 0.05, "error of a prediction of the machine that still serves", "rad and m", LEAST, 1e6),
+    _live(
+        "machine_ahead",
+        1.0,
+        "event `machine`: an output is predicted this far ahead, or less, with a larger error than machine_tolerance "
+        "and than noise explains",
+        "s",
+        0.1,
+        3.0,
+    ),
     Entry("view", False, "open a page in the browser that shows this node, see `liegroup_sim view`"),
     Entry("world_frame", "world", "frame id of the poses"),
     Entry("frame_prefix", "", "prefix of the frame ids of all bodies, such as robot1/; world_frame has no prefix"),

@@ -23,6 +23,7 @@ from liegroup_sim_ros.serving.simulation_thread import SimulationServer
 from . import standard_services
 from .answers import begin
 from .joint_command_topics import JointCommandTopics
+from .machine_topics import MachineTopics
 from .parameters import AUTO, NodeParameterError, answering, bodies_of, fitting_step
 from .qos import QosOverrides
 from .streams import NodeStreams
@@ -56,7 +57,7 @@ class SceneRun:
     def __init__(self, node, values, simulation, before=None, paused=False, start_ns=0):
         self._node = node
         self.simulation = simulation
-        self.recorder = self.commands = None
+        self.recorder = self.commands = self.machine = None
         layout = simulation.layout
         self._values, self._more = values, {}
         origin, path, part, bag = "", values.record, 1, values.record_metadata or None
@@ -105,6 +106,8 @@ class SceneRun:
         self.wrenches = WrenchTopics(node, layout, own, values, simulation.step, self.server, qos)
         try:
             self.commands = JointCommandTopics(node, layout, values, self.server, qos)
+            if values.machine:
+                self.machine = MachineTopics(node, simulation.scene, layout, values, self.outputs, self.server)
             self.check_lockstep(rates)
         except NodeParameterError:
             self._close_topics()
@@ -156,6 +159,8 @@ class SceneRun:
         gc.collect()
         gc.freeze()
         self.server.start()
+        if self.machine is not None:
+            self.machine.machine.start()
         simulation = self.simulation
         self._node.get_logger().info(
             f"{simulation.scene.name}: {counted(len(simulation.layout.body_names), 'body')}, "
@@ -213,6 +218,7 @@ class SceneRun:
         return {
             **self.wrenches.figures(),
             **self.commands.figures(),
+            **(self.machine.machine.figures if self.machine else {}),
             "recorder_queued": recorder.queued if recorder else 0,
             "recorder_written": recorder.written if recorder else 0,
             "recorder_lost": recorder.lost if recorder else 0,
@@ -238,6 +244,8 @@ class SceneRun:
         self.wrenches.close()
         if self.commands is not None:
             self.commands.close()
+        if self.machine is not None:
+            self.machine.close()
         self.outputs.close(stamp_ns)
 
 

@@ -282,6 +282,10 @@ class Outputs:
         for call in self.at_steps:
             call(stamp_ns)
 
+    def add(self, topic):
+        """Stream of another Topic."""
+        return self._stream(*topic)
+
     def _stream(self, *arguments, **options):
         stream = self._made.make(*arguments, **options)
         if self._recorder is not None:

@@ -102,6 +102,7 @@ class SimulationServer(SimulationCommands, threading.Thread):
         self.stamp_ns = base_ns + simulation.time_ns
         self._step_seen = None  # at the last call of `at_step`
         self.failure = None
+        self.machine = None  # RealMachine beside it, which notes when commands arrive
 
     # From other threads:
 

@@ -11,6 +11,7 @@ import numpy as np
 from liegroup_core.engine import METHOD
 from liegroup_core.observables.quantities import PLACES, RATES
 from liegroup_core.settings import SETTINGS
+from liegroup_sim_ros.messages.machine import AHEAD
 
 from .export import save_html, save_picture, save_video
 from .server import ViewError
@@ -26,6 +27,8 @@ SPEEDS = ("0.01", "0.1", "0.5", "1", "2", "5", "10")
 # The library's notice that a browser has no GPU would cover the mechanism.
 ON_PHONES = "<style>@media (max-width: 576px) {#webgl-software-rendering {display: none}}</style>"
 BAD, PLAIN = "#c03030", "#3060c0"
+FAILURES = ("fault", "refused", "unrecorded", "slow", "inaccurate")  # events
+AHEAD_NAMES = tuple(f"{ahead:g} s ahead" for ahead in AHEAD)  # curves of a machine
 COLOURS = (PLAIN, "#808890", BAD, "#d08020")  # of the curves of a plot
 WITH_GAPS = ("beyond it", "distance to the pale motion")
 JOINT_PLOTS = {"position": "position", "velocity": "velocity", "effort": "effort of servo, drive and command"}
@@ -136,6 +139,8 @@ class Panel:
 
     def _motion(self):
         gui, layout, moves = self._gui, self._page.source.layout, self._page.source.is_motion
+        title = "log10 of the error of predicting the machine, by its limit"
+        self._machine = self._plot(title, AHEAD_NAMES) if self._page.source.compares else None
         curves = ("estimated", "requested", *WITH_GAPS)
         self._error = self._plot("log10 of the error, rad or relative to the size", curves) if moves else None
         self._energy = self._plot("change of the energy, J", ("energy",)) if moves else None
@@ -309,7 +314,7 @@ class Panel:
                 text = text.partition("{")[0].strip()  # without the state itself
                 for field in self._efforts:
                     field.value = 0.0
-            failed = name in ("fault", "refused", "unrecorded", "slow", "inaccurate")
+            failed = name in FAILURES or name == "machine" and "departs" in text
             self._lines = [*self._lines[1 - MOST_LINES :], (at, f"{name}: {text}", failed)]
             self._marks = [*self._marks[1 - MOST_MARKS :], (at, f"{at:.3f} s {name}: {text}", failed)]
         self._state.content = self._headline(frame)
@@ -374,6 +379,8 @@ class Panel:
             f"distance {id(page._ghost)}": lambda f: page.distance(f) / size,
         }
         self._draw(self._error, history, since, {key: lambda f, v=v: _log10(v(f)) for key, v in errors.items()})
+        ratios = {f"ratio {k}": lambda f, k=k: _log10(f.ratios[k]) if f.ratios else np.nan for k in range(len(AHEAD))}
+        self._draw(self._machine, history, since, ratios)
         self._draw(self._energy, history, since, {"energy": lambda f: f.sample.energy - base})
         if self._joint is not None:
             for part, plot in self._of_joint.items():

@@ -17,10 +17,11 @@ from liegroup_core.inputs import Inputs
 from liegroup_core.joints.motion import FROM_SCENE
 from liegroup_core.layout import make_layout
 from liegroup_core.scene.load import scene_from_text
-from liegroup_sim_ros.messages import arrays, estimates, inputs, joint_modes, law_states, topics
+from liegroup_sim_ros.messages import arrays, estimates, inputs, joint_modes, law_states, machine, topics
 from liegroup_sim_ros.messages.codecs import Fields, LogCodec, PoseStampedCodec, TwistStampedCodec
 from liegroup_sim_ros.messages.commands import JointStateDecoder, decode_motions, joint_labels
 from liegroup_sim_ros.messages.diagnostics import decode as decode_figures
+from liegroup_sim_ros.messages.machine import AHEAD, RATIOS
 
 from .local import Local
 from .server import ViewError
@@ -142,6 +143,9 @@ class Remote(Source):
             self._subscribe(topics.JOINT_MODES, self._take_modes)
         if layout.states:
             self._subscribe(topics.LAWS, self._take_laws)
+        self._ratios, self.compares = (), topics.MACHINE.resolved(self._name) in known
+        if self.compares:
+            self._subscribe(topics.MACHINE, self._take_machine)
         self._subscribe(topics.ERRORS, self._take_errors)
         self._subscribe(topics.INPUTS, self._take_inputs)
         self._subscribe(topics.EVENTS, self._take_event)
@@ -190,7 +194,7 @@ class Remote(Source):
         accuracy, bound = self._figures.get("accuracy"), None
         if accuracy is not None:
             bound = allowed(self.layout, accuracy, self._figures["accuracy_horizon_s"], seconds)
-        self._newest, self._arrived = ViewFrame(seconds, sample, bound), time.monotonic()
+        self._newest, self._arrived = ViewFrame(seconds, sample, bound, self._ratios), time.monotonic()
         late = self._arrived - stamp * 1e-9
         self._least = min(self._least, late)
         self._late = late - self._least
@@ -226,6 +230,20 @@ class Remote(Source):
         rows = estimates.decode_rows(np.frombuffer(payload, np.uint8)[None], self.layout.body_names)
         self._errors = rows.reshape(-1, 4)
 
+    def _take_machine(self, payload):
+        rows = machine.decode(payload).values()
+        self._ratios = tuple(max((row[name] for row in rows if row[name] >= 0.0), default=math.nan) for name in RATIOS)
+
+    @property
+    def how(self):
+        """How far ahead a machine is predicted, one line; "": there is none, or it is not known."""
+        figures = self._figures
+        if "machine_horizon_s" not in figures:
+            return ""
+        tolerance, horizon = figures["machine_tolerance"], figures["machine_horizon_s"]
+        found = f"{tolerance:g} rad or m for {horizon:g} s" + (" or more" if horizon >= AHEAD[-1] else "")
+        return f"the machine is predicted within {found}"
+
     def _take_inputs(self, payload):
         self._base_ns, commands = inputs.decode(payload)
         for command in commands:
@@ -255,7 +273,7 @@ class Remote(Source):
         """Status."""
         figures, silent = self._figures, time.monotonic() - self._arrived
         state = figures.get("state", "running")
-        text = ""
+        text = next((f"machine: {figures[k]}" for k in ("machine_departs", "machine_note") if figures.get(k)), "")
         if self._newest is not None and silent > 2.0 and state == "running":
             text = f"no message for {silent:.0f} s"
         return Status(state, figures.get("real_time_factor"), self._late, text)

@@ -23,11 +23,13 @@ class ViewFrame(NamedTuple):
     time   : s, that a page shows: of a simulation the simulated time, of a recording its stamps
     sample : liegroup_core Sample with errors and external wrenches, as far as they are known
     bound  : (m, rad) that the requested accuracy allows, or None
+    ratios : errors of predictions of a machine by their limit, some times ahead; (): there is none
     """
 
     time: float
     sample: Sample
     bound: tuple | None
+    ratios: tuple = ()
 
 
 class Status(NamedTuple):
@@ -50,11 +52,13 @@ class Source:
              "reference", if `reference` does
     is_live: whether frames arrive while it runs; else `history` is complete from the start
     is_motion : whether its frames are a motion, which has an energy, errors, efforts and reactions
+    compares : whether a real machine is beside it
     polled : whether the page adds the newest frame to `history` at its rate; else the source adds all frames
     """
 
     takes = frozenset()
     is_live = is_motion = polled = True
+    compares = False
 
     def __init__(self, layout, title):
         self.layout, self.title = layout, title
