@@ -151,8 +151,8 @@ def _cause_of_cost(engine):
     switching, steps = engine._switching, max(1, engine.steps)
     accepted, attempted = engine.substeps
     if switching is not None and switching.tally.sum() * STEPS_OF_EVENT > max(attempted, steps):
-        tally, joints, laws = switching.tally, engine.layout.switches, engine.layout.model.forces.laws
-        names = [switch.name for switch in joints] + owners_of_kinks(engine.scene.forces, laws.kinks)
+        tally, joints = switching.tally, engine.layout.switches
+        names = [switch.name for switch in joints] + owners_of_kinks(engine.scene.forces)
         most = np.argsort(-tally, kind="stable")[:3]
         shown = ", ".join(f"{names[k]} ({tally[k]})" for k in most if tally[k])
         if most[0] >= len(joints):

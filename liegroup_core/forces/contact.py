@@ -359,11 +359,11 @@ class _Formulas:
         """
         depth, leaving = self.let(depth), self.let(leaving)
         self._depths.append(depth)
-        pushes = f"{depth} > 0 and damping*{leaving} < 1"
+        self._pushes = pushes = f"{depth} > 0 and damping*{leaving} < 1"
         force = self.let(f"stiffness*{depth}*(1 - damping*{leaving}) if {pushes} else 0")
         self._normals.append(force)
         normal, tangents = axes
-        self._powers.append(_times(force, leaving))
+        self._powers.append(self._if_pushing(_times(force, leaving)))
         if "friction" not in self._numbers:
             return _scaled(force, normal)
         slips = [self.let(each) for each in slips]
@@ -379,13 +379,17 @@ class _Formulas:
             self._states[name] = _state(f"{rate} if {pushes} else 0")
         bent = [self.let(f"{each} + settles*{rate}") for each, rate in zip(bent, rates)]
         drag = self.let(f"-friction*{force}/sqrt(max({_dot(bent, bent)}, 1))")
-        self._powers.append(self.let(_times(drag, _dot(bent, slips))))  # many points: a formula has a longest length
+        self._powers.append(self._if_pushing(_times(drag, _dot(bent, slips))))
         across = bent if tangents is None else _sum(*(_scaled(b, axis) for b, axis in zip(bent, tangents)))
         return _sum(_scaled(force, normal), _scaled(drag, across))
 
+    def _if_pushing(self, text):
+        """Name of a formula of the last point of contact: only where that pushes, the laws evaluate it."""
+        return self.let(f"{text} if {self._pushes} else 0") if isinstance(text, str) else text
+
     def act(self, body, point, force, arm):
         """Let a force in world axes act on a body at `arm` from a point of the body."""
-        torque = [self.let(each) for each in _cross(arm, force)]
+        torque, force = ([self._if_pushing(each) for each in vector] for vector in (_cross(arm, force), force))
         texts = [tuple(str(each) for each in vector) for vector in (torque, force)]
         point = tuple(map(float, point))
         self._outputs.append(

@@ -23,6 +23,8 @@ numbers that are held in between: they are kept behind the unwrapped angles, bef
 """
 
 import math
+import operator
+from collections import deque
 from contextlib import nullcontext
 from itertools import chain
 from keyword import iskeyword
@@ -50,6 +52,7 @@ from liegroup_core.lie.vec3 import add3, cross3, dot3, load3, load9, tmatvec3, v
 from . import axis
 from .described import Force
 from .formulas import (
+    BELOW,
     LESS,
     LESS_EQUAL,
     RESERVED,
@@ -68,6 +71,7 @@ from .formulas import (
 )
 from .instants import exact_seconds
 from .readings import INPUT, POINTS, RATE, input_row, names_of, number_of, read_all, read_changes, reading, varies
+from .skipping import arrange
 
 OUTPUT = np.dtype(
     [
@@ -94,13 +98,13 @@ class Laws(Struct):
     axes: np.ndarray  # (j,) of axis.ROW: joints that are read or driven
     units: np.ndarray  # (j, 2) first of the registers with their unit wrenches; 1: also needed without derivatives
     inputs: np.ndarray  # (k,) of INPUT
-    code: np.ndarray  # (p, 5) instructions
-    kinks: np.ndarray  # (q,) those with branches that can change
+    code: np.ndarray  # (p, 5) instructions, and blocks that can be skipped, see skipping.py
+    kinks: np.ndarray  # (q, 2) those with branches that can change; condition register of the block it is in, or -1
     tables: np.ndarray  # (t + 1,) first points of the tables
     points: np.ndarray  # (n, 2) their points
     outputs: np.ndarray  # (o,) of OUTPUT
     results: np.ndarray  # (r,) registers of outputs and of rates of states, of all continuous laws
-    signals: np.ndarray  # (w,) registers of their signals
+    signals: np.ndarray  # (w,) registers of their signals; 0: not computed at any time
     states: np.ndarray  # (s, 2) registers of the value and of the rate of each state
     held: np.ndarray  # (h,) registers of the numbers of sampled laws, which follow the unwrapped angles, or -1
     first: int  # number of unwrapped angles
@@ -456,31 +460,75 @@ def unwrapped_inputs(described, turning, sensors=()):
 
 def signals_of(described):
     """{LAW.SIGNAL: register} of a scene, in order; those of `make_laws`."""
-    return _compile_all(described)[1]
+    return _compile_all(described).signals
+
+
+class _Program(NamedTuple):
+    """Formulas of all laws of a scene.
+
+    code, kinks : see Laws;  always : registers of the results that are computed at any time, see skipping.py
+    owners  : [name] of the law of each kink
+    """
+
+    laws: list
+    compiled: list  # [_Compiled] of each
+    signals: dict  # {LAW.SIGNAL: register}
+    registers: list
+    tables: list
+    code: np.ndarray
+    kinks: np.ndarray
+    owners: list
+    always: set
+
+
+_LAST = deque(maxlen=4)  # _Programs: one scene asks for its own many times
 
 
 def _compile_all(described):
-    program, signals, found = Program(), {}, []
+    laws = laws_of(described)
+    for each in _LAST:
+        if len(each.laws) == len(laws) and all(map(operator.is_, each.laws, laws)):
+            return each
+    program, signals, found, owners, needed = Program(), {}, [], [], []
     program.new(), program.new(), program.new()  # WITNESS, CAUSE, LAW_TIME
-    for law in laws_of(described):
+    for law in laws:
         try:
-            found.append((law, law.compile(program, signals)))
+            found.append(law.compile(program, signals))
         except _Misplaced as error:  # each law compiles alone, so there are too many
             raise SceneError(f'forces "{law.name}": {error.text.partition(": ")[2]}') from None
-        program.owners += [law.name] * (len(program.code) - len(program.owners))
-        signals |= {f"{law.name}.{name}": register for name, register in found[-1][1].shown.items()}
-    return program, signals, found
+        owners += [law.name] * (len(program.code) - len(owners))
+        signals |= {f"{law.name}.{name}": register for name, register in found[-1].shown.items()}
+        if law.period is None:
+            needed += [*chain(*found[-1].outputs), *found[-1].rates]
+    kinks = program.branched(needed)
+    rows = arrange(program.code, {*needed, *signals.values()}, program.number(0.0))
+    kinks = sorted((i, at, path[-1] if path else -1) for at, (_, i, path) in enumerate(rows) if i in kinks)
+    _LAST.append(
+        _Program(
+            laws,
+            found,
+            signals,
+            program.registers,
+            program.tables,
+            np.array([row for row, *_ in rows], dtype=np.int64).reshape(-1, 5),
+            np.array([row for _, *row in kinks], dtype=np.int64).reshape(-1, 2),
+            [owners[i] for i, *_ in kinks],
+            {row[1] for row, i, path in rows if i >= 0 and not path},
+        )
+    )
+    return _LAST[-1]
 
 
-def owners_of_kinks(described, kinks):
-    """Names of the laws of kinks, the numbers of instructions."""
-    return [_compile_all(described)[0].owners[i] for i in kinks]
+def owners_of_kinks(described):
+    """Names of the laws of `Laws.kinks`."""
+    return _compile_all(described).owners
 
 
 def target_registers(described):
     """{servo: [register of its target position or -1, of its target velocity or -1]} of the servos that laws lead."""
     found = {}
-    for law, compiled in _compile_all(described)[2]:
+    program = _compile_all(described)
+    for law, compiled in zip(program.laws, program.compiled):
         for each, own in zip(law.outputs, compiled.outputs):
             if each.servo is not None:
                 places = dict(zip((key for key, _ in each.formulas), own))
@@ -555,7 +603,8 @@ def sampled_laws(described, sensors=()):
     """[SampledLaw] of a scene, in order; sensors : of the scene."""
     found, first, inputs, code, signals = [], 0, 0, 0, set()
     sensors = {each.name: each for each in sensors}
-    for law, compiled in _compile_all(described)[2]:
+    program = _compile_all(described)
+    for law, compiled in zip(program.laws, program.compiled):
         known = {*signals}
         signals |= {f"{law.name}.{name}" for name in compiled.shown}
         if law.period is None:
@@ -586,7 +635,8 @@ def make_laws(described, index, ends, angles, slides, first, sensors=()):
     index, ends : see kinds.make_forces;  angles : {joint: index of its unwrapped angle};  first : number of these
     slides : names of the joints whose coordinate is a displacement
     """
-    program, signals, found = _compile_all(described)
+    program = _compile_all(described)
+    all_registers = [*program.registers]
     outputs, states, held, start, sampled_code, results, shown = [], [], [], [], [], [], []
     reads = {False: [], True: []}  # of continuous laws, and of sampled ones
     waiting = iter(sampled_laws(described))
@@ -594,18 +644,18 @@ def make_laws(described, index, ends, angles, slides, first, sensors=()):
 
     def unit_of(joint, always):
         """First register of the unit wrenches of a joint."""
-        first, before = joints.get(joint) or (len(program.registers), False)
+        first, before = joints.get(joint) or (len(all_registers), False)
         if joint not in joints:
-            program.registers += [0.0] * 6
+            all_registers.extend([0.0] * 6)
         joints[joint] = first, before or always
         return first
 
-    for law, compiled in found:
+    for law, compiled in zip(program.laws, program.compiled):
         inputs = reads[law.period is not None]
         if law.period is None:
             states += zip(compiled.states.values(), compiled.rates)
             results += [*chain(*compiled.outputs), *compiled.rates]
-            shown += compiled.signals.values()
+            shown += [at if at in program.always else 0 for at in compiled.signals.values()]
         else:
             own, late = compiled.sampled, next(waiting)
             later = late.delayed * late.outputs
@@ -613,7 +663,7 @@ def make_laws(described, index, ends, angles, slides, first, sensors=()):
             start += [each.start for each in law.states.values()] + [0.0] * (len(own.held) - len(law.states) + later)
             sampled_code += own.code
         for name, each in law.inputs.items():
-            if each.quantity in signals:
+            if each.quantity in program.signals:
                 continue
             found = reading(each.quantity, ends, sensors, each.point)
             motion = axis.fields(found.joint in slides, *ends[found.joint]) if found.joint else NO_AXIS
@@ -626,15 +676,15 @@ def make_laws(described, index, ends, angles, slides, first, sensors=()):
             elif each.body is not None:
                 outputs.append((index[each.body], own, each.axes == "world", each.point, -1, *NO_AXIS))
     begins, points = table_arrays(program.tables)
-    registers = np.zeros((len(program.registers), 2))
-    registers[:, 0] = program.registers
+    registers = np.zeros((len(all_registers), 2))
+    registers[:, 0] = all_registers
     inputs, sampled_inputs = (np.array(rows, dtype=INPUT) for rows in reads.values())
     return Laws(
         axes=np.array([axis.fields(joint in slides, *ends[joint]) for joint in joints], dtype=axis.ROW),
         units=np.array(list(joints.values()), dtype=np.int64).reshape(-1, 2),
         inputs=inputs,
-        code=np.array(program.code, dtype=np.int64).reshape(-1, 5),
-        kinks=np.array(program.branched({*results}), dtype=np.int64),
+        code=program.code,
+        kinks=program.kinks,
         tables=begins,
         points=points,
         outputs=np.array(outputs, dtype=OUTPUT),
@@ -656,7 +706,7 @@ def make_laws(described, index, ends, angles, slides, first, sensors=()):
 @kernel
 def next_branch(laws, branch, k, above):
     """Branch of kink k beyond the lower or the upper end of a branch."""
-    i = laws.kinks[k]
+    i = laws.kinks[k, 0]
     if laws.code[i, 0] != TABLE:
         return -branch
     number = laws.code[i, 3]
@@ -713,21 +763,28 @@ def _add(body, torque, force, wrench_out):
 def set_branches(laws, branches, registers):
     """Set the branches (q,) of the kinks; (0,): those of the arguments hold."""
     for k in range(len(branches)):
-        registers[laws.code[laws.kinks[k], 4], 0] = branches[k]
+        registers[laws.code[laws.kinks[k, 0], 4], 0] = branches[k]
 
 
 @kernel
 def distances_in(laws, branch, registers, k):
-    """Distances of kink k to the ends of a branch, at computed registers, see formulas.distances."""
-    i = laws.kinks[k]
+    """Distances of kink k to the ends of a branch, at computed registers, see formulas.distances.
+
+    Infinite where its block is skipped. Then its branch is any; once that holds no more, its end is passed.
+    """
+    if laws.kinks[k, 1] >= 0 and registers[laws.kinks[k, 1], 0] == 0.0:
+        return math.inf, math.inf
+    i = laws.kinks[k, 0]
     a, b = laws.code[i, 2], laws.code[i, 3]
     return distances(laws.code[i, 0], registers[a, 0], registers[b, 0], branch, laws.tables, laws.points, b)
 
 
 @kernel
 def branch_of(laws, registers, k):
-    """Branch of kink k, at computed registers."""
-    i = laws.kinks[k]
+    """Branch of kink k, at computed registers; where its block is skipped always the same."""
+    i = laws.kinks[k, 0]
+    if laws.kinks[k, 1] >= 0 and registers[laws.kinks[k, 1], 0] == 0.0:
+        return branch_of_segment(-1) if laws.code[i, 0] == TABLE else BELOW
     a, b = laws.code[i, 2], laws.code[i, 3]
     return present_branch(laws.code[i, 0], registers[a, 0], registers[b, 0], laws.tables, laws.points, b)
 
@@ -765,7 +822,7 @@ def branch_matters(laws, branches, registers, k, branch, force, span, part, leas
             registers[at[c], 1] = registers[at[c], 0]
     for s in range(len(laws.states)):
         registers[laws.states[s, 1], 1] = registers[laws.states[s, 1], 0]
-    i = laws.kinks[k]
+    i = laws.kinks[k, 0]
     registers[laws.code[i, 4], 0] = branch
     _evaluate(laws, registers)
     if laws.code[i, 0] == LESS or laws.code[i, 0] == LESS_EQUAL:
@@ -807,7 +864,7 @@ def _open_branches(laws, registers, column):
     if len(laws.kinks) == 0 or _are_numbers(laws, registers, column):
         return False
     for k in range(len(laws.kinks)):
-        registers[laws.code[laws.kinks[k], 4], 0] = UNKNOWN
+        registers[laws.code[laws.kinks[k, 0], 4], 0] = UNKNOWN
     return True
 
 
