@@ -466,7 +466,8 @@ def signals_of(described):
 class _Program(NamedTuple):
     """Formulas of all laws of a scene.
 
-    code, kinks : see Laws;  always : registers of the results that are computed at any time, see skipping.py
+    code, kinks : see Laws;  read : registers that others read
+    always  : registers of the results that are computed at any time, see skipping.py
     owners  : [name] of the law of each kink
     """
 
@@ -479,6 +480,7 @@ class _Program(NamedTuple):
     kinks: np.ndarray
     owners: list
     always: set
+    read: set
 
 
 _LAST = deque(maxlen=4)  # _Programs: one scene asks for its own many times
@@ -514,6 +516,7 @@ def _compile_all(described):
             np.array([row for _, *row in kinks], dtype=np.int64).reshape(-1, 2),
             [owners[i] for i, *_ in kinks],
             {row[1] for row, i, path in rows if i >= 0 and not path},
+            {*needed, *signals.values()}.union(*(row[2:] for row, i, _ in rows if i >= 0)),
         )
     )
     return _LAST[-1]
@@ -663,7 +666,7 @@ def make_laws(described, index, ends, angles, slides, first, sensors=()):
             start += [each.start for each in law.states.values()] + [0.0] * (len(own.held) - len(law.states) + later)
             sampled_code += own.code
         for name, each in law.inputs.items():
-            if each.quantity in program.signals:
+            if each.quantity in program.signals or law.period is None and compiled.inputs[name] not in program.read:
                 continue
             found = reading(each.quantity, ends, sensors, each.point)
             motion = axis.fields(found.joint in slides, *ends[found.joint]) if found.joint else NO_AXIS
@@ -928,8 +931,9 @@ def add_wrench(laws, registers, pose, wrench_out):
             axis.apply(row, axis.kept_unit(registers, row["unit"]), effort, wrench_out)
         else:
             torque, force = _wrench(row, registers, 0)
-            torque, force = _in_body(row, pose, torque, force)
-            _add(row["body"], torque, force, wrench_out)
+            if dot3(torque, torque) != 0.0 or dot3(force, force) != 0.0:  # most points of contact do not touch
+                torque, force = _in_body(row, pose, torque, force)
+                _add(row["body"], torque, force, wrench_out)
 
 
 @kernel

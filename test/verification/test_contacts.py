@@ -192,6 +192,7 @@ SKELETONS = {
     "box": (3, "type: box, size: [0.4, 0.6, 0.8]"),
 }
 PAIRS = [("sphere", "sphere"), ("sphere", "capsule"), ("capsule", "capsule"), ("sphere", "box"), ("box", "sphere")]
+PAIRS += [("capsule", "box"), ("box", "capsule")]
 
 
 @pytest.mark.parametrize("kinds", PAIRS)
@@ -232,6 +233,33 @@ def test_depths_are_those_of_the_nearest_points(kinds, seed):
     radii = sum(0.3 for kind in kinds if kind != "box")
     shown = Simulation(made, "rkmk4", 1e-3, quiet=True).sample().signals
     assert shown["c.depth"] == pytest.approx(radii - math.sqrt(best), abs=1e-6)
+
+
+@pytest.mark.parametrize("aside", [0.0, 0.04])
+@pytest.mark.parametrize("length", [0.2, 0.6])
+def test_a_bar_on_a_box_bears_on_the_ends_of_what_touches(length, aside):
+    """The lever rule: on its ends or, if it is longer than the box, on the edges of that. Depths are N / k."""
+    radius, stiffness, half = 0.05, 1e5, 0.5 * min(length, 0.3)
+    bodies = [
+        f"{{name: bar, mass: 3, inertia: [0.1, 0.1, 0.1], position: [{aside}, 0, {0.1 + radius}]}}",
+        "{name: table, mass: 1, inertia: [1, 1, 1]}",
+    ]
+    shape = f"{{type: capsule, radius: {radius}, length: {length}, axis: [1, 0, 0], position: [{-aside}, 0, 0]}}"
+    contact = f"name: c, body: bar, other: table, shape: {shape}, stiffness: {stiffness}, damping: 5, friction: 0.5"
+    held = "joints:\n  - {name: fix, type: fixed, parent: world, child: table, parent_frame: {}}\n"
+    table = "other_shape: {type: box, size: [0.3, 0.4, 0.2]}, slip: 1e-4"
+    simulation = Simulation(scene(bodies, [f"{contact}, {table}"], more=held), accuracy=1e-6, quiet=True)
+    simulation.advance_to(3.0)
+    sample, weight = simulation.sample(), 3 * G
+    loads = weight * (0.5 + 0.5 * np.array([-aside, aside]) / half)
+    # Points that are beyond an edge have normals that lean outwards by `short` / length, where friction may press.
+    assert sample.signals["c.normal_force"] == pytest.approx(weight, rel=0.5 * 4 * G / stiffness / length)
+    assert sample.signals["c.depth"] == pytest.approx(loads.max() / stiffness, rel=2e-3)
+    rotation = sample.pose[0, :9].reshape(3, 3)
+    # Depths change along the bar as it leans; the points are beyond an edge by r times its slope, 1e-3 or less.
+    slope = (loads[0] - loads[1]) / stiffness / (2.0 * half)
+    assert rotation[2, 0] == pytest.approx(slope, abs=2e-3 * weight / stiffness / half)
+    assert np.abs(sample.twist[0]).max() < 1e-6
 
 
 def test_a_standing_ball_is_a_spring_and_its_motion_is_linear():
@@ -276,5 +304,5 @@ def test_a_wrong_contact_is_refused_in_one_line(change, reason):
 
 def test_boxes_do_not_touch_each_other():
     bodies = [f"{{name: {name}, shape: {{type: box, size: [1, 1, 1], mass: 1}}}}" for name in "ab"]
-    with pytest.raises(SceneError, match="a box can touch a plane or a sphere"):
+    with pytest.raises(SceneError, match="a box can touch a plane or a round body"):
         scene(bodies, ["name: c, body: a, other: b, stiffness: 1, damping: 1"])
