@@ -232,6 +232,22 @@ class Contact(Force):
         return found
 
 
+def stiff_note(bodies, forces, step):
+    """Note on the contact that is stiffest for the mass of its bodies, if steps in s are too long for it; a list."""
+    mass, found = {body.name: body.mass for body in bodies}, []
+    for force in forces:
+        if force.type == "contact":
+            least = min(mass[name] for name in force.on_bodies({}))
+            found.append((math.sqrt(least / force.numbers["stiffness"]), force.name))
+    time, name = min(found, default=(math.inf, ""))
+    if step <= time:
+        return []
+    return [
+        f"stiff: contact {name} acts within {time:.2g} s, sqrt(mass / stiffness): give steps well below that, an accuracy "
+        "in place of the method, or less stiffness"
+    ]
+
+
 def _contact_shape(shape, moved):
     """A shape as one of CONTACT_SHAPES, in a frame that moved by a vector."""
     kind = {"rod": "cylinder"}.get(shape.type, shape.type)

@@ -13,7 +13,9 @@ from numpy.testing import assert_allclose
 from liegroup_core import SceneError, Simulation
 from liegroup_core.lie.groups import SO3
 from liegroup_core.linear import linearise, sensitivities
+from liegroup_core.reports import explain
 from liegroup_core.scene.load import scene_from_text
+from liegroup_core.status import NOT_FINITE
 
 G, RADIUS = 9.81, 0.1
 BALL = "{name: ball, shape: {type: sphere, radius: 0.1, mass: 2}, position: [0, 0, %s], linear_velocity: [%s, 0, %s]}"
@@ -300,6 +302,20 @@ def test_derivatives_of_a_bounce_are_those_of_its_closed_form():
 def test_a_wrong_contact_is_refused_in_one_line(change, reason):
     with pytest.raises(SceneError, match=reason):
         ball(change)
+
+
+@pytest.mark.parametrize("step, told", [(0.02, True), (0.002, False)])
+def test_a_step_that_is_too_long_for_a_contact_is_told(step, told, caplog):
+    """sqrt(2 kg / 2e4 N/m) is 0.01 s; a run that stops says it, too."""
+    made = ball("stiffness: 2e4, damping: 0", RADIUS + 0.01)
+    simulation = Simulation(made, "rkmk4", step)
+    text = "contact floor acts within 0.01 s, sqrt(mass / stiffness): give steps well below that"
+    simulation.advance_to(0.1)
+    assert (text in caplog.text) == told
+    assert (text in explain(simulation, NOT_FINITE)) == told
+    caplog.clear()
+    Simulation(made, accuracy=1e-3).advance_to(0.1)
+    assert text not in caplog.text
 
 
 def test_boxes_do_not_touch_each_other():
