@@ -105,7 +105,9 @@ class Laws(Struct):
     outputs: np.ndarray  # (o,) of OUTPUT
     results: np.ndarray  # (r,) registers of outputs and of rates of states, of all continuous laws
     signals: np.ndarray  # (w,) registers of their signals; 0: not computed at any time
-    states: np.ndarray  # (s, 2) registers of the value and of the rate of each state
+    # (s, 3) registers of the value and of the rate of each state; of the condition under which anything reads it, or
+    # -1: at any time, -2: never
+    states: np.ndarray
     held: np.ndarray  # (h,) registers of the numbers of sampled laws, which follow the unwrapped angles, or -1
     first: int  # number of unwrapped angles
     sampled_inputs: np.ndarray  # of INPUT, of one sampled law after another
@@ -466,7 +468,7 @@ def signals_of(described):
 class _Program(NamedTuple):
     """Formulas of all laws of a scene.
 
-    code, kinks : see Laws;  read : registers that others read
+    code, kinks : see Laws;  read : {register that others read: conditions of all blocks around those}
     always  : registers of the results that are computed at any time, see skipping.py
     owners  : [name] of the law of each kink
     """
@@ -480,7 +482,7 @@ class _Program(NamedTuple):
     kinks: np.ndarray
     owners: list
     always: set
-    read: set
+    read: dict
 
 
 _LAST = deque(maxlen=4)  # _Programs: one scene asks for its own many times
@@ -503,7 +505,8 @@ def _compile_all(described):
         if law.period is None:
             needed += [*chain(*found[-1].outputs), *found[-1].rates]
     kinks = program.branched(needed)
-    rows = arrange(program.code, {*needed, *signals.values()}, program.number(0.0))
+    states = {at for compiled in found for at in compiled.states.values()}  # which others may show, and need no code
+    rows, read = arrange(program.code, {*needed, *signals.values()} - (states - {*needed}), program.number(0.0))
     kinks = sorted((i, at, path[-1] if path else -1) for at, (_, i, path) in enumerate(rows) if i in kinks)
     _LAST.append(
         _Program(
@@ -516,7 +519,7 @@ def _compile_all(described):
             np.array([row for _, *row in kinks], dtype=np.int64).reshape(-1, 2),
             [owners[i] for i, *_ in kinks],
             {row[1] for row, i, path in rows if i >= 0 and not path},
-            {*needed, *signals.values()}.union(*(row[2:] for row, i, _ in rows if i >= 0)),
+            read,
         )
     )
     return _LAST[-1]
@@ -656,7 +659,8 @@ def make_laws(described, index, ends, angles, slides, first, sensors=()):
     for law, compiled in zip(program.laws, program.compiled):
         inputs = reads[law.period is not None]
         if law.period is None:
-            states += zip(compiled.states.values(), compiled.rates)
+            reads_state = [(*program.read[at], -1)[0] if at in program.read else -2 for at in compiled.states.values()]
+            states += zip(compiled.states.values(), compiled.rates, reads_state)
             results += [*chain(*compiled.outputs), *compiled.rates]
             shown += [at if at in program.always else 0 for at in compiled.signals.values()]
         else:
@@ -693,7 +697,7 @@ def make_laws(described, index, ends, angles, slides, first, sensors=()):
         outputs=np.array(outputs, dtype=OUTPUT),
         results=np.array(results, dtype=np.int64),
         signals=np.array(shown, dtype=np.int64),
-        states=np.array(states, dtype=np.int64).reshape(-1, 2),
+        states=np.array(states, dtype=np.int64).reshape(-1, 3),
         held=np.array(held, dtype=np.int64),
         first=first,
         sampled_inputs=sampled_inputs,
@@ -704,6 +708,13 @@ def make_laws(described, index, ends, angles, slides, first, sensors=()):
         late=np.zeros(1),
         timed=any(law.uses_time for law in laws_of(described)),
     )
+
+
+@kernel
+def state_matters(laws, registers, s):
+    """Whether anything depends on state s, at computed registers."""
+    under = laws.states[s, 2]
+    return under == -1 or under >= 0 and registers[under, 0] != 0.0
 
 
 @kernel

@@ -25,9 +25,10 @@ def arrange(code, needed, zero):
 
     code : [(operation, to, a, b, c)];  needed : registers that are read at any time;  zero : register of the number 0
     A path has the registers of the conditions of all blocks around an instruction, () at top level.
+    returns this, and {register: path of those who read it}
     """
     made = {instruction[1]: i for i, instruction in enumerate(code)}
-    bases, paths = _paths(code, made, needed, zero)
+    bases, paths = _paths(code, needed, zero)
     sizes = defaultdict(int)
     for path in paths.values():
         for k in range(len(path)):
@@ -35,12 +36,12 @@ def arrange(code, needed, zero):
     for found in (bases, paths):
         for i, path in found.items():
             found[i] = tuple(c for k, c in enumerate(path) if sizes[path[: k + 1]] >= LEAST)
-    return _ordered(code, made, bases, paths, sorted(paths), 0)
+    return _ordered(code, made, bases, paths, sorted(paths), 0), bases
 
 
-def _paths(code, made, needed, zero):
-    """({number: path of those who read the result}, {number: path on which it is computed})."""
-    chains, bases, paths = {}, {made[register]: () for register in needed if register in made}, {}
+def _paths(code, needed, zero):
+    """({register: path of those who read it}, {number: path on which an instruction is computed})."""
+    chains, bases, paths = {}, dict.fromkeys(needed, ()), {}
 
     def is_guarded(i):
         return code[i][0] == AND or code[i][0] == SELECT and code[i][4] == zero
@@ -49,16 +50,15 @@ def _paths(code, made, needed, zero):
         chains[to] = (*(chains.get(a, (a,)) if is_guarded(i) else ()), to)
 
     def read(register, path):
-        if register in made:
-            before = bases.get(made[register], path)
-            same = next((k for k, pair in enumerate(zip(before, path)) if pair[0] != pair[1]), None)
-            bases[made[register]] = before[: min(len(before), len(path)) if same is None else same]
+        before = bases.get(register, path)
+        same = next((k for k, pair in enumerate(zip(before, path)) if pair[0] != pair[1]), None)
+        bases[register] = before[: min(len(before), len(path)) if same is None else same]
 
     for i in range(len(code) - 1, -1, -1):
-        if i not in bases:
+        operation, to, a, b, c = code[i]
+        if to not in bases:
             continue
-        operation, _, a, b, c = code[i]
-        paths[i] = inner = base = bases[i]
+        paths[i] = inner = base = bases[to]
         if operation in (AND, SELECT):
             inner = base + tuple(each for each in chains.get(a, (a,)) if each not in base)
         if is_guarded(i):
@@ -97,7 +97,7 @@ def _ordered(code, made, bases, paths, members, depth):
             rows += [(code[i], i, paths[i]) for i in done]
             continue
         inside = _ordered(code, made, bases, paths, sorted(done), depth + 1)
-        zeros = {code[i][1] for i in done if len(bases[i]) <= depth}
+        zeros = {code[i][1] for i in done if len(bases[code[i][1]]) <= depth}
         zeros |= {paths[i][depth + 1] for i in done if len(paths[i]) > depth + 1}  # of kinks, see law.distances_in
         zeros = sorted(zeros)
         zeros += zeros[:1] * (-len(zeros) % 5)
