@@ -52,8 +52,8 @@ from .law import Law, LawInput, LawOutput, LawState
 MOST_POINTS = 64  # of a hull
 STANDING = 1e-9  # a cylinder that leans less stands: its four points of a rim do not turn to the lowest one
 ROUND = ("sphere", "capsule")
-# Of a radius r; at least the depth under the load, see `_nearest_to_box`. The points of a capsule of length L are beyond
-# an edge by SHORT r^2 / L at most, which changes their distance by 5e-7 r^3 / L^2.
+# Of a radius r; at least the depth under the load, see `_nearest_to_box`. Points of a capsule of length L are beyond an
+# edge by SHORT r^2 / L at most, which changes their distance by 5e-7 r^3 / L^2.
 SHORT = 1e-3
 WORK = "work"  # state of the law of a contact: what it did on the bodies, J. Its scale is that of `load` along 1 m
 
@@ -243,8 +243,8 @@ def stiff_note(bodies, forces, step):
     if step <= time:
         return []
     return [
-        f"stiff: contact {name} acts within {time:.2g} s, sqrt(mass / stiffness): give steps well below that, an accuracy "
-        "in place of the method, or less stiffness"
+        f"stiff: contact {name} acts within {time:.2g} s, sqrt(mass / stiffness): give steps well below that, an "
+        "accuracy in place of the method, or less stiffness"
     ]
 
 

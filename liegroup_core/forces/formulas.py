@@ -83,8 +83,8 @@ RESERVED = (TIME, *CONSTANTS, *FUNCTIONS)
 BINARY = {ast.Add: ADD, ast.Sub: SUBTRACT, ast.Mult: MULTIPLY, ast.Div: DIVIDE, ast.Pow: POWER}
 LONGEST = 2000  # characters of a formula
 DEEPEST = 200  # levels of its tree
-# Of all formulas of a scene: 2 s to load. Their 2000 points of contact have 5000 states, of which an implicit method has
-# five full matrices, 1 GB.
+# Of all formulas of a scene: 2 s to load. 2000 points of contact have 4000 states, of which an implicit method has five
+# full matrices, 1 GB.
 MOST_INSTRUCTIONS = 100_000
 MOST_FACTORS = 16  # of a power that is computed by products
 _LARGEST_EXPONENT = 709.78  # exp of more exceeds the largest number
@@ -546,7 +546,9 @@ def _change(operation, value, a, b, c, da, db, dc, begins, points, number):
 def _pass(code, i, registers, columns):
     """Number of the instruction after a SKIP, see skipping.py; it sets the first columns of registers to zero."""
     begin = i + 1 + code[i, 1]
+    registers[code[i, 4], 0] = 0.0
     if registers[code[i, 2], 0] != 0.0:
+        registers[code[i, 4], 0] = 1.0
         return begin
     for row in range(i + 1, begin):
         for k in range(5):

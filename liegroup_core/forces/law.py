@@ -99,7 +99,7 @@ class Laws(Struct):
     units: np.ndarray  # (j, 2) first of the registers with their unit wrenches; 1: also needed without derivatives
     inputs: np.ndarray  # (k,) of INPUT
     code: np.ndarray  # (p, 5) instructions, and blocks that can be skipped, see skipping.py
-    kinks: np.ndarray  # (q, 2) those with branches that can change; condition register of the block it is in, or -1
+    kinks: np.ndarray  # (q, 2) those with branches that can change; register f of the block it is in, or -1
     tables: np.ndarray  # (t + 1,) first points of the tables
     points: np.ndarray  # (n, 2) their points
     outputs: np.ndarray  # (o,) of OUTPUT
@@ -506,8 +506,10 @@ def _compile_all(described):
             needed += [*chain(*found[-1].outputs), *found[-1].rates]
     kinks = program.branched(needed)
     states = {at for compiled in found for at in compiled.states.values()}  # which others may show, and need no code
-    rows, read = arrange(program.code, {*needed, *signals.values()} - (states - {*needed}), program.number(0.0))
-    kinks = sorted((i, at, path[-1] if path else -1) for at, (_, i, path) in enumerate(rows) if i in kinks)
+    rows, read = arrange(
+        program.code, {*needed, *signals.values()} - (states - {*needed}), program.number(0.0), program.new
+    )
+    kinks = sorted((i, at, flag) for at, (_, i, flag) in enumerate(rows) if i in kinks)
     _LAST.append(
         _Program(
             laws,
@@ -518,7 +520,7 @@ def _compile_all(described):
             np.array([row for row, *_ in rows], dtype=np.int64).reshape(-1, 5),
             np.array([row for _, *row in kinks], dtype=np.int64).reshape(-1, 2),
             [owners[i] for i, *_ in kinks],
-            {row[1] for row, i, path in rows if i >= 0 and not path},
+            {row[1] for row, i, flag in rows if i >= 0 and flag < 0},
             read,
         )
     )

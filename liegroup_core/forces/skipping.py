@@ -7,7 +7,7 @@ nobody reads. Blocks are nested. So a point of a contact in the air costs its de
 
 A block in `arrange`'s code is
 
-    (SKIP, m, c, n, 0)   where the register c is zero, what follows is skipped
+    (SKIP, m, c, n, f)   where the register c is zero, what follows is skipped; its own register f is 1 where it is not
     m rows               five registers each, which are then set to zero
     n instructions
 """
@@ -18,12 +18,14 @@ from collections import defaultdict
 from .formulas import AND, SELECT, SKIP
 
 LEAST = 4  # instructions of a block: to skip costs about one
+HEAD, CLEAR = -2, -1  # in place of the number of an instruction
 
 
-def arrange(code, needed, zero):
-    """[(instruction, number in `code` or -1, path)] of the instructions that are needed, in their new order.
+def arrange(code, needed, zero, new):
+    """[(instruction, number in `code` or HEAD or CLEAR, register f of its block or -1)] of what is needed, in new order.
 
     code : [(operation, to, a, b, c)];  needed : registers that are read at any time;  zero : register of the number 0
+    new  : function that gives a new register
     A path has the registers of the conditions of all blocks around an instruction, () at top level.
     returns this, and {register: path of those who read it}
     """
@@ -36,7 +38,7 @@ def arrange(code, needed, zero):
     for found in (bases, paths):
         for i, path in found.items():
             found[i] = tuple(c for k, c in enumerate(path) if sizes[path[: k + 1]] >= LEAST)
-    return _ordered(code, made, bases, paths, sorted(paths), 0), bases
+    return _ordered(code, made, bases, paths, sorted(paths), new), bases
 
 
 def _paths(code, needed, zero):
@@ -68,8 +70,8 @@ def _paths(code, needed, zero):
     return bases, paths
 
 
-def _ordered(code, made, bases, paths, members, depth):
-    """Rows of `arrange` of the sorted numbers of the instructions in a block of a depth."""
+def _ordered(code, made, bases, paths, members, new, depth=0, flag=-1):
+    """Rows of `arrange` of the sorted numbers of the instructions in a block of a depth, with its register f."""
     waits, readers, groups, rows = {}, defaultdict(list), defaultdict(list), []
 
     def of(i):
@@ -94,14 +96,14 @@ def _ordered(code, made, bases, paths, members, depth):
                     heapq.heappush(groups[of(each)], each)
         del groups[condition]
         if condition < 0:
-            rows += [(code[i], i, paths[i]) for i in done]
+            rows += [(code[i], i, flag) for i in done]
             continue
-        inside = _ordered(code, made, bases, paths, sorted(done), depth + 1)
-        zeros = {code[i][1] for i in done if len(bases[code[i][1]]) <= depth}
-        zeros |= {paths[i][depth + 1] for i in done if len(paths[i]) > depth + 1}  # of kinks, see law.distances_in
-        zeros = sorted(zeros)
+        own = new()
+        inside = _ordered(code, made, bases, paths, sorted(done), new, depth + 1, own)
+        zeros = {row[4] for row, i, _ in inside if i == HEAD}
+        zeros = sorted(zeros | {code[i][1] for i in done if len(bases[code[i][1]]) <= depth})
         zeros += zeros[:1] * (-len(zeros) % 5)
         clears = [tuple(zeros[k : k + 5]) for k in range(0, len(zeros), 5)]
-        head = [(SKIP, len(clears), condition, len(inside), 0), *clears]
-        rows += [(row, -1, ()) for row in head] + inside
+        head = [(SKIP, len(clears), condition, len(inside), own), *clears]
+        rows += [(row, HEAD if k == 0 else CLEAR, flag) for k, row in enumerate(head)] + inside
     return rows

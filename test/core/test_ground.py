@@ -58,7 +58,9 @@ def test_collision_shapes_of_each_format_become_the_same_contacts(kind, tmp_path
     if kind == "urdf":  # its file does not say at which height it starts
         assert f"foot touches it, the origin of the root link is at {deep:.3g} m" in notes
         assert made.bodies[0].position == pytest.approx((0.0, 0.0, deep), abs=1e-15)
-        lifted = np.subtract(made.bodies[1].position, scene_from_robot(path, Options(base="floating")).bodies[1].position)
+        lifted = np.subtract(
+            made.bodies[1].position, scene_from_robot(path, Options(base="floating")).bodies[1].position
+        )
         assert_allclose(lifted, (0.0, 0.0, deep), atol=1e-15)
         given = {"base": "floating", "ground": Ground(height=0.1), "start": {"trunk": Start(position=(0, 0, 0.1))}}
         notes = "\n".join(scene_from_robot(path, Options(**given)).notes)
