@@ -332,18 +332,21 @@ class _Formulas:
     def __init__(self, name, numbers, load):
         self._name, self._numbers, self._load = name, numbers, load
         self._inputs, self._signals, self._states, self._outputs = {}, {}, {}, []
-        self._normals, self._depths, self._powers = [], [], []
+        self._normals, self._depths, self._powers, self._near = [], [], [], ""
 
     @property
     def law(self):
         """The Law. What others can read: the sum of normal forces in N, the largest depth in m, the work in J."""
         deepest = self._depths[0] if len(self._depths) == 1 else f"max({', '.join(self._depths)})"
         shown = {"normal_force": _plus(*self._normals), "depth": deepest}
+        power = _plus(*self._powers)
+        if self._near:
+            power = f"{power} if {self._near[:-5]} else 0"
         return Law.model_construct(
             name=self._name,
             inputs={name: LawInput(quantity=quantity, point=point) for (quantity, point), name in self._inputs.items()},
             parameters=self._numbers,
-            states=self._states | {WORK: _state(_plus(*self._powers), self._load or 1.0)},
+            states=self._states | {WORK: _state(power, self._load or 1.0)},
             signals=self._signals | shown,
             outputs=tuple(self._outputs),
         )
@@ -372,6 +375,10 @@ class _Formulas:
         """Angular velocity, world axes."""
         return [self._read(body, f"o{part}", None) for part in "xyz"]
 
+    def approach(self, reach):
+        """Let the points that follow matter only where the depth `reach` of a sphere around them is positive."""
+        self._near = f"{self.let(reach)} > 0 and "
+
     def press(self, depth, leaving, slips, axes):
         """Force of a point of contact, world axes.
 
@@ -380,7 +387,7 @@ class _Formulas:
         """
         depth, leaving = self.let(depth), self.let(leaving)
         self._depths.append(depth)
-        self._pushes = pushes = f"{depth} > 0 and damping*{leaving} < 1"
+        self._pushes = pushes = f"{self._near}{depth} > 0 and damping*{leaving} < 1"
         force = self.let(f"stiffness*{depth}*(1 - damping*{leaving}) if {pushes} else 0")
         self._normals.append(force)
         normal, tangents = axes
@@ -434,9 +441,21 @@ def _corners(shape):
     return np.array(shape.position) + np.array(local) @ shape.rotation.T, 0.0
 
 
+def _around(shape):
+    """Middle of a shape in the body frame, and the radius of a sphere around it, m."""
+    if shape.type in ("cylinder", "rod"):
+        return np.array(shape.position), math.hypot(shape.radius, 0.5 * shape.length)
+    points, radius = _corners(shape)
+    middle = 0.5 * (np.min(points, axis=0) + np.max(points, axis=0))
+    return middle, radius + max(np.linalg.norm(np.array(points) - middle, axis=1))
+
+
 def _touch_plane(found, body, shape, axes, height):
     """Contact of a body with a plane; axes (3, 3) : columns tangents and normal;  height : m, along the normal."""
     (t, s, n), slides = axes.T.tolist(), "friction" in found._numbers
+    if shape.type != "sphere":
+        middle, far = _around(shape)
+        found.approach(_minus(far + height, _dot(n, found.place(body, middle))))
     if shape.type in ("cylinder", "rod"):
         for end in _ends(shape):
             _touch_with_rim(found, body, shape, end, (n, (t, s)), height)

@@ -52,7 +52,7 @@ from liegroup_core.lie.vec3 import add3, cross3, dot3, load3, load9, tmatvec3, v
 from . import axis
 from .described import Force
 from .formulas import (
-    BELOW,
+    ABOVE,
     LESS,
     LESS_EQUAL,
     RESERVED,
@@ -99,6 +99,7 @@ class Laws(Struct):
     units: np.ndarray  # (j, 2) first of the registers with their unit wrenches; 1: also needed without derivatives
     inputs: np.ndarray  # (k,) of INPUT
     code: np.ndarray  # (p, 5) instructions, and blocks that can be skipped, see skipping.py
+    shown: np.ndarray  # (p', 5) the same, with signals that no output needs
     kinks: np.ndarray  # (q, 2) those with branches that can change; register f of the block it is in, or -1
     tables: np.ndarray  # (t + 1,) first points of the tables
     points: np.ndarray  # (n, 2) their points
@@ -468,8 +469,9 @@ def signals_of(described):
 class _Program(NamedTuple):
     """Formulas of all laws of a scene.
 
-    code, kinks : see Laws;  read : {register that others read: conditions of all blocks around those}
+    code, shown, kinks : see Laws
     always  : registers of the results that are computed at any time, see skipping.py
+    read    : {register that others in `code` read: conditions of all blocks around those};  inputs : read by `shown`
     owners  : [name] of the law of each kink
     """
 
@@ -479,10 +481,12 @@ class _Program(NamedTuple):
     registers: list
     tables: list
     code: np.ndarray
+    shown: np.ndarray
     kinks: np.ndarray
     owners: list
     always: set
     read: dict
+    inputs: set
 
 
 _LAST = deque(maxlen=4)  # _Programs: one scene asks for its own many times
@@ -505,10 +509,9 @@ def _compile_all(described):
         if law.period is None:
             needed += [*chain(*found[-1].outputs), *found[-1].rates]
     kinks = program.branched(needed)
-    states = {at for compiled in found for at in compiled.states.values()}  # which others may show, and need no code
-    rows, read = arrange(
-        program.code, {*needed, *signals.values()} - (states - {*needed}), program.number(0.0), program.new
-    )
+    zero = program.number(0.0)
+    rows, read = arrange(program.code, {*needed}, zero, program.new)
+    shown, read_by_all = arrange(program.code, {*needed, *signals.values()}, zero, program.new)
     kinks = sorted((i, at, flag) for at, (_, i, flag) in enumerate(rows) if i in kinks)
     _LAST.append(
         _Program(
@@ -517,11 +520,12 @@ def _compile_all(described):
             signals,
             program.registers,
             program.tables,
-            np.array([row for row, *_ in rows], dtype=np.int64).reshape(-1, 5),
+            *(np.array([row for row, *_ in each], dtype=np.int64).reshape(-1, 5) for each in (rows, shown)),
             np.array([row for _, *row in kinks], dtype=np.int64).reshape(-1, 2),
             [owners[i] for i, *_ in kinks],
             {row[1] for row, i, flag in rows if i >= 0 and flag < 0},
             read,
+            read_by_all.keys(),
         )
     )
     return _LAST[-1]
@@ -672,7 +676,7 @@ def make_laws(described, index, ends, angles, slides, first, sensors=()):
             start += [each.start for each in law.states.values()] + [0.0] * (len(own.held) - len(law.states) + later)
             sampled_code += own.code
         for name, each in law.inputs.items():
-            if each.quantity in program.signals or law.period is None and compiled.inputs[name] not in program.read:
+            if each.quantity in program.signals or law.period is None and compiled.inputs[name] not in program.inputs:
                 continue
             found = reading(each.quantity, ends, sensors, each.point)
             motion = axis.fields(found.joint in slides, *ends[found.joint]) if found.joint else NO_AXIS
@@ -693,6 +697,7 @@ def make_laws(described, index, ends, angles, slides, first, sensors=()):
         units=np.array(list(joints.values()), dtype=np.int64).reshape(-1, 2),
         inputs=inputs,
         code=program.code,
+        shown=program.shown,
         kinks=program.kinks,
         tables=begins,
         points=points,
@@ -800,7 +805,7 @@ def branch_of(laws, registers, k):
     """Branch of kink k, at computed registers; where its block is skipped always the same."""
     i = laws.kinks[k, 0]
     if laws.kinks[k, 1] >= 0 and registers[laws.kinks[k, 1], 0] == 0.0:
-        return branch_of_segment(-1) if laws.code[i, 0] == TABLE else BELOW
+        return branch_of_segment(-1) if laws.code[i, 0] == TABLE else ABOVE  # a comparison that does not hold
     a, b = laws.code[i, 2], laws.code[i, 3]
     return present_branch(laws.code[i, 0], registers[a, 0], registers[b, 0], laws.tables, laws.points, b)
 
@@ -826,6 +831,8 @@ def _differentiate(laws, registers):
 def branch_matters(laws, branches, registers, k, branch, force, span, part, least):
     """1 if another branch of kink k changes outputs or states by more than `least`, at the inputs in registers.
 
+    Also if with that branch a block with kinks is evaluated, and is not without: these may have been passed since.
+
     force : N, sum of all forces;  span : s, in which rates change states
     part : of the change that counts, for a continuous kink
     """
@@ -838,12 +845,18 @@ def branch_matters(laws, branches, registers, k, branch, force, span, part, leas
             registers[at[c], 1] = registers[at[c], 0]
     for s in range(len(laws.states)):
         registers[laws.states[s, 1], 1] = registers[laws.states[s, 1], 0]
+    for j in range(len(laws.kinks)):
+        if laws.kinks[j, 1] >= 0:
+            registers[laws.kinks[j, 1], 1] = registers[laws.kinks[j, 1], 0]
     i = laws.kinks[k, 0]
     registers[laws.code[i, 4], 0] = branch
     _evaluate(laws, registers)
     if laws.code[i, 0] == LESS or laws.code[i, 0] == LESS_EQUAL:
         part = 1.0
     found = 0
+    for j in range(len(laws.kinks)):
+        if laws.kinks[j, 1] >= 0 and registers[laws.kinks[j, 1], 0] > registers[laws.kinks[j, 1], 1]:
+            found = 1
     for e in range(len(laws.outputs)):
         at = laws.outputs[e]["registers"]
         for c in range(6):
@@ -898,6 +911,13 @@ def measure(laws, angle, pose, twist, registers):
 
 
 @kernel
+def measure_all(laws, angle, pose, twist, registers):
+    """As `measure`, with signals that no output needs."""
+    measure(laws, angle, pose, twist, registers)
+    evaluate(laws.shown, laws.tables, laws.points, registers)
+
+
+@kernel
 def _note_undefined(laws, registers):
     """Note the first result that is not finite, where all inputs and states are."""
     total = 0.0
@@ -926,8 +946,8 @@ def _note_undefined(laws, registers):
 
 @kernel
 def sample(laws, inputs, noise, code, angle, pose, twist, registers):
-    """As `measure`, then the instructions (p, 5) of a sampled law with its inputs (k,) and their noise (k,)."""
-    measure(laws, angle, pose, twist, registers)
+    """As `measure_all`, then the instructions (p, 5) of a sampled law with its inputs (k,) and their noise (k,)."""
+    measure_all(laws, angle, pose, twist, registers)
     read_all(inputs, angle, pose, twist, registers)
     for e in range(len(inputs)):
         registers[inputs[e]["to"], 0] += noise[e]

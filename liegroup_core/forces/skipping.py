@@ -22,7 +22,7 @@ HEAD, CLEAR = -2, -1  # in place of the number of an instruction
 
 
 def arrange(code, needed, zero, new):
-    """[(instruction, number in `code` or HEAD or CLEAR, register f of its block or -1)] of what is needed, in new order.
+    """[(instruction, number in `code` or HEAD or CLEAR, register f of its block or -1)] of what is needed, in order.
 
     code : [(operation, to, a, b, c)];  needed : registers that are read at any time;  zero : register of the number 0
     new  : function that gives a new register
