@@ -57,6 +57,24 @@ def test_a_ball_on_a_linear_contact_keeps_its_height_through_a_thousand_bounces(
     assert simulation._switching.tally.sum() == 2000
 
 
+def test_no_touch_of_a_fast_slab_is_missed():
+    """A flat box on four corners is the ball on a spring, between two planes too: v t = 2 n (gap + way in contact)."""
+    stiffness, speed, gap = 4e6, 30.0, 0.5
+    body = (
+        "{name: slab, shape: {type: box, size: [0.3, 0.3, 0.2], mass: 2}, position: [0, 0, 0.35], "
+        f"linear_velocity: [0, 0, {speed}]}}"
+    )
+    keys = f"body: slab, stiffness: {stiffness / 4}, damping: 0"
+    planes = [f"name: floor, {keys}", f"name: roof, {keys}, plane: {{point: [0, 0, 0.7], normal: [0, 0, -1]}}"]
+    simulation = Simulation(scene([body], planes, gravity=0.0), accuracy=1e-9, quiet=True)
+    for count in (1, 50):
+        # Half a turn of the spring at each plane; then it is in the middle again, and flies upwards.
+        simulation.advance_to(2 * count * (gap / speed + math.pi / math.sqrt(stiffness / 2.0)))
+        sample = simulation.sample()
+        assert sample.pose[0, 11] == pytest.approx(0.35, abs=1e-8 * count)
+        assert sample.twist[0, 5] == pytest.approx(speed, rel=1e-8)
+
+
 @pytest.mark.parametrize("restitution, speed", [(0.9, 1.0), (0.5, 2.0), (0.1, 0.3), (0.02, 5.0)])
 @pytest.mark.parametrize("stiffness", [1e2, 1e5])
 def test_a_ball_leaves_with_its_restitution(restitution, speed, stiffness):
