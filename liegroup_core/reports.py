@@ -156,7 +156,7 @@ def _cause_of_cost(engine):
     accepted, attempted = engine.substeps
     if switching is not None and switching.tally.sum() * STEPS_OF_EVENT > max(attempted, steps):
         tally, joints = switching.tally, engine.layout.switches
-        names = [switch.name for switch in joints] + owners_of_kinks(engine.scene.forces)
+        names = [switch.name for switch in joints] + owners_of_kinks(engine.layout.centred.forces)
         most = np.argsort(-tally, kind="stable")[:3]
         shown = ", ".join(f"{names[k]} ({tally[k]})" for k in most if tally[k])
         if most[0] >= len(joints):

@@ -443,11 +443,16 @@ def _corners(shape):
 
 def _around(shape):
     """Middle of a shape in the body frame, and the radius of a sphere around it, m."""
+    place = np.array(shape.position)
+    if shape.type == "capsule":
+        return place, shape.radius + 0.5 * shape.length
     if shape.type in ("cylinder", "rod"):
-        return np.array(shape.position), math.hypot(shape.radius, 0.5 * shape.length)
-    points, radius = _corners(shape)
-    middle = 0.5 * (np.min(points, axis=0) + np.max(points, axis=0))
-    return middle, radius + max(np.linalg.norm(np.array(points) - middle, axis=1))
+        return place, math.hypot(shape.radius, 0.5 * shape.length)
+    points = np.array(
+        shape.points if shape.type == "hull" else [0.5 * np.array(shape.size), -0.5 * np.array(shape.size)]
+    )
+    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    return place + shape.rotation @ middle, np.linalg.norm(points - middle, axis=1).max()
 
 
 def _touch_plane(found, body, shape, axes, height):
