@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Contacts compared with Drake's continuous plant: CPU time against error, and the estimate of the error.
 
-    python benchmarks/contacts.py [--json FILE]
+    python benchmarks/contacts.py [bodies | robots] [--json FILE]
 
     ball     it skids on a plane and then rolls
     box      on four spheres it is thrown on a plane, tumbles and comes to rest
+    robots   of example-robot-data fall 1 cm on the ground; servos hold their pose for 5 s. All collision shapes touch
 
 Stiffness 1e5 N/m, dissipation 1 s/m, friction 0.5: the same normal force as Drake's point contact, which is that of
 Hunt and Crossley. Its friction is regularised, ours yields by a length, so each is compared with itself at the tightest
@@ -14,7 +15,9 @@ accuracy: Drake with steps of 5 us. Drake (`pip install drake`) is omitted if it
 import argparse
 import importlib.util
 import json
+import tempfile
 import time
+from pathlib import Path
 
 import numpy as np
 from rich.console import Console
@@ -22,7 +25,8 @@ from rich.table import Table
 from scipy.spatial.transform import Rotation
 
 from liegroup_core import Simulation
-from liegroup_core.scene.load import scene_from_text
+from liegroup_core.robots.read import read_robot
+from liegroup_core.scene.load import load_scene, scene_from_text
 
 SECONDS, ROUNDS = 2.0, 3
 CORNERS = [(x, y, -0.05) for x in (0.2, -0.2) for y in (0.15, -0.15)]
@@ -43,6 +47,26 @@ BOX = (
 )
 SCENES = {"ball": BALL, "box": BOX}
 ACCURACIES = (1e-2, 1e-4, 1e-6, 1e-9)
+# {robot: (file, SRDF file with its pose, links that touch if not all)}, in the folder of example-robot-data.
+ROBOTS = {
+    "A1": ("a1_description/urdf/a1.urdf", "a1_description/srdf/a1.srdf", ""),
+    "Go1": ("go1_description/urdf/go1.urdf", "go1_description/srdf/go1.srdf", ""),
+    "Go2": ("go2_description/urdf/go2.urdf", "go2_description/srdf/go2.srdf", ""),
+    "B1": ("b1_description/urdf/b1.urdf", "b1_description/srdf/b1.srdf", ""),
+    "Laikago": ("laikago_description/urdf/laikago.urdf", "", ""),
+    "HyQ": ("hyq_description/robots/hyq_no_sensors.urdf", "hyq_description/srdf/hyq.srdf", ""),
+    "Solo8": ("solo_description/robots/solo.urdf", "", ""),
+    "Solo12": ("solo_description/robots/solo12.urdf", "solo_description/srdf/solo.srdf", ""),
+    "ANYmal B": ("anymal_b_simple_description/robots/anymal.urdf", "anymal_b_simple_description/srdf/anymal.srdf", ""),
+    "ANYmal C": ("anymal_c_simple_description/urdf/anymal.urdf", "anymal_c_simple_description/srdf/anymal.srdf", ""),
+    "Bolt": ("bolt_description/robots/bolt.urdf", "bolt_description/srdf/bolt.srdf", ""),
+    "Talos": (
+        "talos_data/robots/talos_reduced.urdf",
+        "talos_data/srdf/talos.srdf",
+        "leg_left_6_link, leg_right_6_link",
+    ),
+}
+HOLD, DROP, DAMPING, LENGTH = 2.0, 0.01, 0.02, 0.4  # weight times m; m; s; m
 
 
 def scene_of(name):
@@ -114,16 +138,72 @@ def of_drake(name, scheme, accuracy, step=None):
     return 1e3 * spent / SECONDS, plant.EvalBodyPoseInWorld(context, body).rotation().matrix()
 
 
+def robot_scene(path, srdf, links, folder):
+    """Scene of a robot above the ground, with servos and a law whose state is their work and that of dampers."""
+    pose, robot = "", read_robot(path, srdf or None, {})
+    if robot.poses:
+        pose = next(iter(robot.poses))
+    keys = f"robot: {path}\nbase: floating\nstops: []\nfriction: []\nground: {{friction: 0.8, links: [{links}]}}\n"
+    if pose:
+        keys += f"srdf: {srdf}\npose: {pose}\n"
+
+    def scene(more=""):
+        file = folder / "robot.yaml"
+        file.write_text(keys + more)
+        return load_scene(file)
+
+    plain, file_names = scene(), {joint.name for joint in robot.joints}
+    stiffness = HOLD * LENGTH * 9.81 * sum(body.mass for body in plain.bodies)
+    at = dict.fromkeys(file_names, 0.0) | robot.poses.get(pose, {})
+    moving = [joint.name for joint in plain.joints if joint.name in file_names]
+    forces, inputs, powers = [], [], []
+    for k, name in enumerate(moving):
+        damping = DAMPING * stiffness
+        forces.append(
+            f"  - {{name: hold_{k}, type: servo, joint: {name}, stiffness: {stiffness}, damping: {damping}, "
+            f"position: {at[name]}}}\n"
+        )
+        inputs.append(f"q{k}: {name}.position, w{k}: {name}.velocity")
+        damping += sum(f.damping for f in plain.forces if f.type == "torsional_spring_damper" and f.joint == name)
+        powers.append(f"    p{k}: w{k}*({stiffness}*({at[name]} - q{k}) - {damping}*w{k})\n")
+    total = " + ".join(f"p{k}" for k in range(len(moving)))
+    meter = f"  - name: meter\n    type: law\n    inputs: {{{', '.join(inputs)}}}\n    signals:\n"
+    meter += "".join(f"  {each}" for each in powers) + f"    states: {{work: {{rate: {total}, scale: 10}}}}\n"
+    root = plain.bodies[0]
+    place = (root.position[0], root.position[1], root.position[2] + DROP)
+    return scene(f"start: {{{root.name}: {{position: {list(place)}}}}}\nforces:\n{''.join(forces)}{meter}")
+
+
+def of_robots(share):
+    """[(robot, accuracy, bodies, points, CPU s per s, largest estimate, J that do not add up, height in m)]."""
+    rows = []
+    for name, (file, srdf, links) in ROBOTS.items():
+        for accuracy in (1e-3, 1e-4):
+            with tempfile.TemporaryDirectory() as folder:
+                scene = robot_scene(share / file, srdf and share / srdf, links, Path(folder))
+            contacts = [force for force in scene.forces if force.type == "contact"]
+            points = sum(len(force.as_law.outputs) for force in contacts)
+            simulation = Simulation(scene, accuracy=accuracy, quiet=True)
+            before = simulation.sample().energy
+            simulation.advance_to(1e-9)
+            start = time.process_time()
+            simulation.advance_to(5.0)
+            spent = (time.process_time() - start) / 5.0
+            sample = simulation.sample()
+            works = sum(sample.signals[f"{each}.work"] for each in ("meter", *(force.name for force in contacts)))
+            lost, height = sample.energy - before - works, sample.pose[0, 11]
+            rows.append((name, accuracy, len(scene.bodies), points, spent, simulation.largest_error, lost, height))
+    return rows
+
+
 def angle(one, other):
     """Angle between two rotations, rad."""
     return float(Rotation.from_matrix(one @ other.T).magnitude())
 
 
-def main():
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--json", help="file for the figures")
-    arguments, rows = parser.parse_args(), []
-    has_drake = importlib.util.find_spec("pydrake") is not None
+def of_bodies():
+    """[(scene, program, accuracy, CPU ms per s, error in rad, estimate in rad or of the size)]."""
+    rows, has_drake = [], importlib.util.find_spec("pydrake") is not None
     for name in SCENES:
         _, exact, _ = own(name, 1e-11)
         for accuracy in ACCURACIES:
@@ -136,13 +216,37 @@ def main():
             for accuracy in (1e-2, 1e-3, 1e-4, 1e-5, 1e-6):
                 cost, turn = min((of_drake(name, scheme, accuracy) for _ in range(ROUNDS)), key=lambda each: each[0])
                 rows.append((name, f"Drake {scheme}", accuracy, cost, angle(turn, exact), None))
-    table = Table("scene", "program", "asked for", "CPU ms per s", "error, rad", "estimate, rad or of the size")
-    for name, program, accuracy, cost, error, estimate in rows:
-        shown = "-" if estimate is None else f"{estimate:.1e}"
-        table.add_row(name, program, f"{accuracy:.0e}", f"{cost:.2f}", f"{error:.1e}", shown)
+    return rows
+
+
+COLUMNS = {
+    "bodies": ("scene", "program", "accuracy", "CPU ms per s", "error, rad", "estimate, rad or of the size"),
+    "robots": ("robot", "accuracy", "bodies", "points", "CPU s per s", "estimate", "J lost", "height, m"),
+}
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("what", nargs="?", choices=COLUMNS, default="bodies")
+    parser.add_argument("--folder", type=Path, help="robots of example-robot-data; default: those of the package")
+    parser.add_argument("--json", help="file for the figures")
+    arguments = parser.parse_args()
+    if arguments.what == "robots":
+        folder = arguments.folder
+        if folder is None:
+            cmeel = importlib.util.find_spec("cmeel")
+            if cmeel is None:
+                parser.error("pip install example-robot-data, or give --folder")
+            folder = Path(cmeel.origin).parents[1] / "cmeel.prefix/share/example-robot-data/robots"
+        rows = of_robots(folder)
+    else:
+        rows = of_bodies()
+    keys = COLUMNS[arguments.what]
+    table = Table(*keys)
+    for row in rows:
+        table.add_row(*(f"{each:.3g}" if isinstance(each, float) else str(each or "-") for each in row))
     Console(width=120).print(table)
     if arguments.json:
-        keys = "scene", "program", "accuracy", "ms", "error", "estimate"
         with open(arguments.json, "w") as file:
             json.dump([dict(zip(keys, row)) for row in rows], file, indent=1)
 

@@ -272,7 +272,7 @@ class Layout:
     @cached_property
     def signals(self):
         """{LAW.SIGNAL: its register} of the laws of the scene."""
-        return signals_of(self.scene.forces)
+        return signals_of(self.centred.forces)  # numbers of a contact depend on the frame of its body
 
     @cached_property
     def states(self):

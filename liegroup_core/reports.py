@@ -7,6 +7,7 @@ from time import thread_time
 
 import numpy as np
 
+from liegroup_core.forces.contact import stiff_note
 from liegroup_core.forces.law import owners_of_kinks, undefined_of
 from liegroup_core.joints.limits import BeyondLimits
 from liegroup_core.joints.motion import at, overshoot
@@ -99,6 +100,9 @@ class Warnings:
                 log.warning("%s", note)
         self._give_of_cost(engine)
         controlled = METHODS[engine.method].controlled  # then tolerances limit substeps, whatever they turn
+        if not controlled and self._is_new("contact"):
+            for note in stiff_note(engine.scene.bodies, engine.scene.forces, engine.step):
+                log.warning("%s, step %g s is too long; %s", engine.method, engine.step, note)
         if not controlled and report[LARGEST_TURN] > LARGE_ROTATION**2 and self._is_new("turn"):
             turned = math.sqrt(report[LARGEST_TURN])
             log.warning(
@@ -151,8 +155,8 @@ def _cause_of_cost(engine):
     switching, steps = engine._switching, max(1, engine.steps)
     accepted, attempted = engine.substeps
     if switching is not None and switching.tally.sum() * STEPS_OF_EVENT > max(attempted, steps):
-        tally, joints, laws = switching.tally, engine.layout.switches, engine.layout.model.forces.laws
-        names = [switch.name for switch in joints] + owners_of_kinks(engine.scene.forces, laws.kinks)
+        tally, joints = switching.tally, engine.layout.switches
+        names = [switch.name for switch in joints] + owners_of_kinks(engine.layout.centred.forces)
         most = np.argsort(-tally, kind="stable")[:3]
         shown = ", ".join(f"{names[k]} ({tally[k]})" for k in most if tally[k])
         if most[0] >= len(joints):
@@ -225,7 +229,10 @@ def reason(engine, status):
         joint=joint, force=force, body=body, angle=angle, hint=hint, events=MOST_EVENTS, smaller=smaller, fewer=fewer
     )
     if status & 0xFF in FAST:
-        text += "".join(f"; {note}" for note in engine.scene.notes if note.startswith("stiff:"))
+        notes = [note for note in engine.scene.notes if note.startswith("stiff:")]
+        if not METHODS[engine.method].controlled:
+            notes += stiff_note(engine.scene.bodies, engine.scene.forces, engine.step)
+        text += "".join(f"; {note}" for note in notes)
     if status & 0xFF in FAST and engine.layout.lack_of_inertia:
         text += f"; or a degree of freedom has no inertia at this pose, because {engine.layout.lack_of_inertia}"
     return text

@@ -5,7 +5,7 @@ Each sweep is written once. It calls these functions, those of links.py, and tho
 Twists and wrenches are pairs of an angular and a linear part in space, and (omega, v_x, v_y) in a plane.
 """
 
-from liegroup_core.compiling import Choice
+from liegroup_core.compiling import Choice, kernel
 from liegroup_core.lie.se2 import se2_Ad_inverse, se2_compose, se2_wrench
 from liegroup_core.lie.se3 import se3_Ad_inverse, se3_compose, se3_wrench
 from liegroup_core.lie.vec3 import ZERO3, add3, add_to3, axpy3, dot3, load3, load9, store3, sub3
@@ -13,6 +13,12 @@ from liegroup_core.mechanism.arrays import PlaneModel, RelativeModel
 from liegroup_core.motion_groups.elimination import made
 from liegroup_core.motion_groups.in_plane import place
 from liegroup_core.motion_groups.table import by_model, in_world_axes, relative_pose, slides
+
+
+@kernel
+def tree_size(model):
+    """Number of links without those of the states of laws, which come last: slides without mass or children."""
+    return len(model.links) - len(model.law_links)
 
 
 def choice(name, space, plane):

@@ -46,6 +46,7 @@ from .algebra import (
     relative,
     spatial,
     store,
+    tree_size,
 )
 from .links import lift_links as lift_links
 from .links import set_place
@@ -153,7 +154,7 @@ def coordinates(model, work, pose, twist):
 @kernel
 def place_links(model, work):
     """Poses in the world of all links at the stage, from their poses in their parents."""
-    for b in range(len(model.links)):
+    for b in range(tree_size(model)):
         a, X = link_of(model, b)["parent"], relative(model, work, b)
         if a != WORLD:
             X = compose(model, placed(model, work, a), X)

@@ -22,18 +22,21 @@ from liegroup_core.compiling import kernel, subroutine
 from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.vec3 import load3
 
-from .algebra import link_of, rate_twist, store, zero
+from .algebra import column, link_of, rate_twist, store, tree_size, zero
 from .links import accelerated, apply, body_wrench, move_link, pass_inertia, start
 
 
 @kernel
 def move_links(model, work):
     """Relative poses, twists V and [V, S qdot] of all links at the stage; no applied wrenches."""
-    for b in range(len(model.links)):
+    for b in range(tree_size(model)):
         link = link_of(model, b)
         S = rate_twist(model, link, work.stage_twist, len(model.bodies) + b)
         store(model, move_link(model, work, link, b, S), work.velocities, b)
         store(model, zero(model), work.applied, b)
+    for b in range(tree_size(model), len(model.links)):
+        store(model, zero(model), work.applied, b)
+        store(model, zero(model), work.force, b)
 
 
 @kernel
@@ -48,10 +51,14 @@ def apply_wrenches(model, work):
 @kernel
 def gather(model, work):
     """Articulated inertias and bias forces for work.applied, from the leaves to the world."""
-    for b in range(len(model.links)):
+    for b in range(tree_size(model)):
         start(model, work, link_of(model, b), b)
-    for b in range(len(model.links) - 1, -1, -1):
+    for b in range(tree_size(model) - 1, -1, -1):
         pass_inertia(model, work, link_of(model, b), b)
+    for b in range(tree_size(model), len(model.links)):
+        link = link_of(model, b)
+        f = link["freedom"]
+        work.freedoms[f, 6], work.freedoms[f, 7] = 1.0, work.applied[b, column(model, link, 0)]
 
 
 @subroutine
@@ -62,9 +69,12 @@ def _spread(model, work, gx, gy, gz, drift):
     drift      : 1 with the terms [V, S qdot], 0 without: response to forces alone
     writes work.acceleration, and Vdot - gravity of the links to work.moved
     """
-    for b in range(len(model.links)):
+    for b in range(tree_size(model)):
         V = accelerated(model, work, link_of(model, b), b, (gx, gy, gz), drift)
         store(model, V, work.moved, b)
+    for b in range(tree_size(model), len(model.links)):
+        f = model.links[b]["freedom"]
+        work.acceleration[f, 0] = work.freedoms[f, 7]
     return 0
 
 

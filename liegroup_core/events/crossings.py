@@ -32,21 +32,23 @@ from liegroup_core.dynamics.switches import (
     set_guards,
 )
 from liegroup_core.forces.formulas import OPEN
-from liegroup_core.forces.law import branch_matters, branch_of, distances_in, is_shared, next_branch
+from liegroup_core.forces.law import branch_matters, branch_of, distances_in, is_shared, may_be_beyond, next_branch
 from liegroup_core.mechanism.arrays import COORDINATE, NODES, RESTS, SIDE, SLIP
 
 NONE = -1.0  # in Work.crossed: the guard is not crossed
 START, END = 0, 1  # rows of Work.course of the first stage and of the end
 APART = 0.125  # fraction of a step; a stage that is closer to a chosen one is omitted
 LATEST = 0.9  # fraction of a substep with an event, that is repeated up to there at most
+FAR = 1.001  # at least 1 by more than round-off, see `rows_and_weights`
 PARTS, DOUBT = 16, 4.0  # parts of a step, at whose ends guards are tested; safety factor, see `lowest`
 
 
 def rows_and_weights(times):
-    """(s + 1,) row of Work.course of every stage, or -1, and (2, PARTS - 1, NODES) weights of these rows.
+    """(s + 1,) row of Work.course of every stage, or -1, and (3, PARTS - 1, NODES) weights of these rows.
 
     times : (s + 1,) of the stages and of the end, as fractions of the step
-    The weights give the polynomials through all nodes, and through all but the middle one.
+    The weights give the polynomials through all nodes, and through all but the middle one. The last ones are a bound:
+    both minus their distance exceed the mean of the least and the largest value less `bound` times half of their range.
     """
     return _rows_and_weights(tuple(np.asarray(times).tolist()))
 
@@ -62,13 +64,14 @@ def _rows_and_weights(times):
     rows[chosen] = range(len(chosen))
     nodes = times[chosen]
     inner = sorted(range(2, len(nodes)), key=lambda row: nodes[row])
-    weights = np.zeros((2, PARTS - 1, NODES))
+    weights = np.zeros((3, PARTS - 1, NODES))
     for which, without in enumerate((None, inner[len(inner) // 2] if inner else None)):
         used = [row for row in range(len(nodes)) if row != without]
         for i, s in enumerate(np.arange(1, PARTS) / PARTS):
             for row in used:
                 others = nodes[[other for other in used if other != row]]
                 weights[which, i, row] = np.prod((s - others) / (nodes[row] - others))
+    weights[2] = (np.abs(weights[0]) + np.abs(weights[0] - weights[1])).sum(axis=1).max()
     return rows, weights
 
 
@@ -140,6 +143,12 @@ def _gives_way(weights, course, k, c, start):
     """
     place, least = NONE, 0.0
     if not course[END, k, c - LEAST] < math.inf:
+        return place, least
+    low, high = course[END, k, c - LEAST], course[END, k, c - LEAST]
+    for row in range(NODES):
+        if row == START or weights[0, 0, row] != 0.0:
+            low, high = min(low, course[row, k, c - LEAST]), max(high, course[row, k, c - LEAST])
+    if low + high > FAR * weights[2, 0, 0] * (high - low):
         return place, least
     for i in range(PARTS - 1):
         guard, other = 0.0, 0.0
@@ -296,9 +305,9 @@ def crossed(model, work, h, weights):
             continue
         for c in range(LEAST, MOST + 1):
             # After an event a guard starts at zero, up to the error of the method.
-            start = min(work.course[START, row, c - LEAST], 0.0)
-            if is_shared(model.space.forces.laws, work.branches[k], k):
-                start = 0.0
+            start = 0.0
+            if may_be_beyond(model.space.forces.laws, work.branches[k], k):
+                start = min(work.course[START, row, c - LEAST], 0.0)
             place, way = 1.0, work.guards[row, c] - start
             if not way < 0.0:
                 place, way = _gives_way(weights, work.course, row, c, start)

@@ -311,17 +311,21 @@ class Switching(EventTimes):
             status = self._look(self._model, work, *state)
         if status == OK and len(work.modes):
             status = self._change_modes(time, state, crossed)
-        # Impulses change rates, and what laws do with them.
-        left = (work.guards[len(work.modes) :, LEAST:] < 0.0).any(axis=1) & ~ends.any(axis=1)
-        if status == OK and left.any():
+        met = ends.any(axis=1)
+        while status == OK:
+            # Impulses change rates, and what laws do with them; and what was skipped has the branches of before.
+            left = (work.guards[len(work.modes) :, LEAST:] < 0.0).any(axis=1) & ~met
+            if not left.any():
+                break
             for k in np.flatnonzero(left):
                 beyond = is_shared(self._laws, work.branches[k], k), work.guards[len(work.modes) + k, MOST] < 0.0
                 work.branches[k] = next_branch(self._laws, work.branches[k], k, beyond[1]) if beyond[0] else UNKNOWN
+            met |= left
             status = self._look(self._model, work, *state)
         if len(self._laws.surfaces):
             self._keep_shares()
         if status == OK and self.instants is not None:
-            sides = np.where((self._laws.compared == 1) & (work.branches > 1.0), SHARED, work.branches)
+            sides = np.where((self._laws.compared == 2) & (work.branches > 1.0), SHARED, work.branches)
             here = self.present_modes(), self.events[log:], sides
             self.instants.append(JointInstant(time, *here))
         return status

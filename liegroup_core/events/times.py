@@ -12,7 +12,7 @@ import numpy as np
 import scipy
 
 from liegroup_core.dynamics.switches import AT_STOP, LOWER, RESTING, SLIDING, UPPER
-from liegroup_core.forces.law import is_shared
+from liegroup_core.forces.law import may_be_beyond
 from liegroup_core.mechanism.arrays import COORDINATE, SIDE, WATCHED
 from liegroup_core.status import OK
 
@@ -131,7 +131,7 @@ class EventTimes(ModeChanges):
         switches = len(self._work.modes)
         if k < switches:
             return c <= UPPER and self._rigid[k]
-        return not is_shared(self._model.space.forces.laws, self._work.branches[k - switches], k - switches)
+        return may_be_beyond(self._model.space.forces.laws, self._work.branches[k - switches], k - switches)
 
     def _acts(self, k, c):
         """Whether a compliant stop acts."""

@@ -52,6 +52,9 @@ from .law import Law, LawInput, LawOutput, LawState
 MOST_POINTS = 64  # of a hull
 STANDING = 1e-9  # a cylinder that leans less stands: its four points of a rim do not turn to the lowest one
 ROUND = ("sphere", "capsule")
+# Of a radius r; at least the depth under the load, see `_nearest_to_box`. Points of a capsule of length L are beyond an
+# edge by SHORT r^2 / L at most, which changes their distance by 5e-7 r^3 / L^2.
+SHORT = 1e-3
 WORK = "work"  # state of the law of a contact: what it did on the bodies, J. Its scale is that of `load` along 1 m
 
 
@@ -181,10 +184,10 @@ class Contact(Force):
         if self.other is not None:
             shapes.append(self._shape(bodies, "other_shape", self.other))
             for key, shape, other in zip(("shape", "other_shape"), shapes, shapes[::-1]):
-                if shape.type not in ROUND and (shape.type, other.type) != ("box", "sphere"):
+                if shape.type not in ROUND and (shape.type != "box" or other.type not in ROUND):
                     raise SceneError(
-                        f"{key}: a {shape.type} can touch a plane{' or a sphere' if shape.type == 'box' else ''}; "
-                        "two bodies touch as spheres, capsules, or a sphere and a box",
+                        f"{key}: a {shape.type} can touch a plane{' or a round body' if shape.type == 'box' else ''}; "
+                        "two bodies touch as spheres or capsules, or one of these and a box",
                         place=(key,),
                     )
         gravity = math.hypot(*gravity)
@@ -229,7 +232,9 @@ class Contact(Force):
         shapes, load, _ = self._given
         found = _Formulas(self.name, self.numbers, load)
         if self.other is not None:
-            return _touch_each_other(found, (self.body, self.other), shapes)
+            radius = max(getattr(shape, "radius", 0.0) for shape in shapes)
+            short = max(SHORT * radius, load / self.numbers["stiffness"])
+            return _touch_each_other(found, (self.body, self.other), shapes, short)
         normal = np.array(self.plane.normal) / math.hypot(*self.plane.normal)
         height = float(normal @ np.array(self.plane.point))
         return _touch_plane(found, self.body, shapes[0], rotation_z_to(normal), height)
@@ -245,6 +250,22 @@ class Contact(Force):
         for key, name, shape in zip(("shape", "other_shape"), (self.body, self.other), shapes):
             found[key] = _contact_shape(shape, com.get(name, 0.0))
         return found
+
+
+def stiff_note(bodies, forces, step):
+    """Note on the contact that is stiffest for the mass of its bodies, if steps in s are too long for it; a list."""
+    mass, found = {body.name: body.mass for body in bodies}, []
+    for force in forces:
+        if force.type == "contact":
+            least = min(mass[name] for name in force.on_bodies({}))
+            found.append((math.sqrt(least / force.numbers["stiffness"]), force.name))
+    time, name = min(found, default=(math.inf, ""))
+    if step <= time:
+        return []
+    return [
+        f"stiff: contact {name} acts within {time:.2g} s, sqrt(mass / stiffness): give steps well below that, an "
+        "accuracy in place of the method, or less stiffness"
+    ]
 
 
 def _contact_shape(shape, moved):
@@ -334,18 +355,21 @@ class _Formulas:
     def __init__(self, name, numbers, load):
         self._name, self._numbers, self._load = name, numbers, load
         self._inputs, self._signals, self._states, self._outputs = {}, {}, {}, []
-        self.normals, self.arms, self._depths, self._powers = [], [], [], []
+        self.normals, self.arms, self._depths, self._powers, self._near = [], [], [], [], ""
 
     @property
     def law(self):
         """The Law. What others can read: the sum of normal forces in N, the largest depth in m, the work in J."""
         deepest = self._depths[0] if len(self._depths) == 1 else f"max({', '.join(self._depths)})"
         shown = {"normal_force": _plus(*self.normals), "depth": deepest}
+        power = _plus(*self._powers)
+        if self._near:
+            power = f"{power} if {self._near[:-5]} else 0"
         return _ContactLaw.model_construct(
             name=self._name,
             inputs={name: LawInput(quantity=quantity, point=point) for (quantity, point), name in self._inputs.items()},
             parameters=self._numbers,
-            states=self._states | {WORK: _state(_plus(*self._powers), self._load or 1.0)},
+            states=self._states | {WORK: _state(power, self._load or 1.0)},
             signals=self._signals | shown,
             outputs=tuple(self._outputs),
         )
@@ -374,6 +398,10 @@ class _Formulas:
         """Angular velocity, world axes."""
         return [self._read(body, f"o{part}", None) for part in "xyz"]
 
+    def approach(self, reach):
+        """Let the points that follow matter only where the depth `reach` of a sphere around them is positive."""
+        self._near = f"{self.let(reach)} > 0 and "
+
     def press(self, depth, leaving, slips, axes):
         """Force of a point of contact, world axes.
 
@@ -382,11 +410,11 @@ class _Formulas:
         """
         depth, leaving = self.let(depth), self.let(leaving)
         self._depths.append(depth)
-        pushes = f"{depth} > 0 and damping*{leaving} < 1"
+        self._pushes = pushes = f"{self._near}{depth} > 0 and damping*{leaving} < 1"
         force = self.let(f"stiffness*{depth}*(1 - damping*{leaving}) if {pushes} else 0")
         self.normals.append(force)
         normal, tangents = axes
-        self._powers.append(_times(force, leaving))
+        self._powers.append(self._if_pushing(_times(force, leaving)))
         if "friction" not in self._numbers:
             return _scaled(force, normal)
         slips = [self.let(each) for each in slips]
@@ -402,13 +430,17 @@ class _Formulas:
             self._states[name] = _state(f"{rate} if {pushes} else 0")
         bent = [self.let(f"{each} + settles*{rate}") for each, rate in zip(bent, rates)]
         drag = self.let(f"-friction*{force}/sqrt(max({_dot(bent, bent)}, 1))")
-        self._powers.append(self.let(_times(drag, _dot(bent, slips))))  # many points: a formula has a longest length
+        self._powers.append(self._if_pushing(_times(drag, _dot(bent, slips))))
         across = bent if tangents is None else _sum(*(_scaled(b, axis) for b, axis in zip(bent, tangents)))
         return _sum(_scaled(force, normal), _scaled(drag, across))
 
+    def _if_pushing(self, text):
+        """Name of a formula of the last point of contact: only where that pushes, the laws evaluate it."""
+        return self.let(f"{text} if {self._pushes} else 0") if isinstance(text, str) else text
+
     def act(self, body, point, force, arm):
         """Let a force in world axes act on a body at `arm` from a point of the body."""
-        torque = [self.let(each) for each in _cross(arm, force)]
+        torque, force = ([self._if_pushing(each) for each in vector] for vector in (_cross(arm, force), force))
         texts = [tuple(str(each) for each in vector) for vector in (torque, force)]
         self.arms.append((body, tuple(arm)))
         point = tuple(map(float, point))
@@ -433,9 +465,26 @@ def _corners(shape):
     return np.array(shape.position) + np.array(local) @ shape.rotation.T, 0.0
 
 
+def _around(shape):
+    """Middle of a shape in the body frame, and the radius of a sphere around it, m."""
+    place = np.array(shape.position)
+    if shape.type == "capsule":
+        return place, shape.radius + 0.5 * shape.length
+    if shape.type in ("cylinder", "rod"):
+        return place, math.hypot(shape.radius, 0.5 * shape.length)
+    points = np.array(
+        shape.points if shape.type == "hull" else [0.5 * np.array(shape.size), -0.5 * np.array(shape.size)]
+    )
+    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    return place + shape.rotation @ middle, np.linalg.norm(points - middle, axis=1).max()
+
+
 def _touch_plane(found, body, shape, axes, height):
     """Contact of a body with a plane; axes (3, 3) : columns tangents and normal;  height : m, along the normal."""
     (t, s, n), slides = axes.T.tolist(), "friction" in found._numbers
+    if shape.type != "sphere":
+        middle, far = _around(shape)
+        found.approach(_minus(far + height, _dot(n, found.place(body, middle))))
     if shape.type in ("cylinder", "rod"):
         for end in _ends(shape):
             _touch_with_rim(found, body, shape, end, (n, (t, s)), height)
@@ -501,25 +550,83 @@ def _skeleton(shape):
     return _ends(shape) if shape.type == "capsule" else [np.array(shape.position)]
 
 
-def _nearest_of_box(found, bodies, shapes):
-    """(centre of the sphere, nearest point of the box), world axes."""
-    (ball, box), (sphere, solid) = bodies, shapes
-    centre, middle = found.place(ball, sphere.position), found.place(box, solid.position)
-    apart = [found.let(each) for each in _difference(centre, middle)]
-    nearest = middle
-    for k, size in enumerate(solid.size):
+def _in_box(found, bodies, shapes):
+    """(axes of the box in the world, ends of the axis of the other body from its middle, in these axes, its middle)."""
+    (round_body, box), (shape, solid) = bodies, shapes
+    middle, axes = found.place(box, solid.position), []
+    for k in range(3):
         axis = _difference(found.place(box, np.array(solid.position) + solid.rotation[:, k]), middle)
-        axis = [found.let(each) for each in axis]
-        nearest = _sum(nearest, _scaled(found.let(_clip(_dot(apart, axis), -0.5 * size, 0.5 * size)), axis))
-    return centre, [found.let(each) for each in nearest]
+        axes.append([found.let(each) for each in axis])
+    ends = []
+    for end in _skeleton(shape):
+        apart = [found.let(each) for each in _difference(found.place(round_body, end), middle)]
+        ends.append([found.let(_dot(apart, axis)) for axis in axes])
+    return axes, ends, middle
 
 
-def _touch_each_other(found, bodies, shapes):
-    """Contact of two bodies."""
+def _nearest_to_box(found, bodies, shapes, short):
+    """[(point of the axis of a sphere or a capsule, nearest point of the box)], world axes.
+
+    A capsule has two. With the squared distance f of a point of its axis at the fraction s from the box they have
+    f'(s) = -+ 2 radius short: where the distance changes by less than the length `short` along the part of the axis
+    that is nearest, as that of a capsule which lies on a face, they are the ends of this part, else both at the least
+    distance. f' increases, and is linear between the places where the axis crosses the planes of the faces.
+    """
+    axes, ends, middle = _in_box(found, bodies, shapes)
+    halves = [0.5 * size for size in shapes[1].size]
+    points = [ends[0]]
+    if len(ends) == 2:
+        along = [found.let(each) for each in _difference(ends[1], ends[0])]
+
+        def at(s):
+            return [found.let(_plus(each, _times(s, rate))) for each, rate in zip(ends[0], along)]
+
+        def slope(s):
+            """f'(s) / 2."""
+            beyond = [_minus(each, _clip(each, -half, half)) for each, half in zip(at(s), halves)]
+            return found.let(_dot(along, beyond))
+
+        # An axis along a face does not cross its plane: any place does, and its distance changes by round-off only.
+        least, breaks = 1e-9 * shapes[0].length, [0.0, 1.0]
+        for begin, rate, half in zip(ends[0], along, halves):
+            for face in (-half, half):
+                crossing = f"(({face!r} - {begin})/{rate} if abs({rate}) > {least!r} else 0)"
+                breaks.append(found.let(_clip(crossing, 0.0, 1.0)))
+        slopes, points = [slope(s) for s in breaks], []
+        for bound in (-shapes[0].radius * short, shapes[0].radius * short):
+            before = [found.let(f"{each} < {bound!r}") for each in slopes]
+            s, g = (
+                (
+                    found.let(f"max({', '.join(f'{x} if {c} else {v[0]}' for x, c in zip(v, before))})"),
+                    found.let(f"min({', '.join(f'{v[1]} if {c} else {x}' for x, c in zip(v, before))})"),
+                )
+                for v in (breaks, slopes)
+            )
+            part = f"{s[0]} + ({s[1]} - {s[0]})*({bound!r} - {g[0]})/max({g[1]} - {g[0]}, {least**2!r})"
+            points.append(at(found.let(_clip(f"({part})", 0.0, 1.0))))
+    pairs = []
+    for point in points:
+        inside = [found.let(_clip(each, -half, half)) for each, half in zip(point, halves)]
+        both = (_sum(middle, *map(_scaled, each, axes)) for each in (point, inside))
+        pairs.append(tuple([found.let(each) for each in place] for place in both))
+    return pairs
+
+
+def _touch_each_other(found, bodies, shapes, short):
+    """Contact of two bodies; short : m, see `_nearest_to_box`."""
     if shapes[0].type == "box":
         bodies, shapes = bodies[::-1], shapes[::-1]
-    nearest = _nearest_of_box if shapes[1].type == "box" else _nearest
-    mine, theirs = nearest(found, bodies, shapes)
+    if shapes[1].type == "box":
+        pairs = _nearest_to_box(found, bodies, shapes, short)
+    else:
+        pairs = [_nearest(found, bodies, shapes)]
+    for mine, theirs in pairs:
+        _touch_at(found, bodies, shapes, mine, theirs)
+    return found
+
+
+def _touch_at(found, bodies, shapes, mine, theirs):
+    """Contact of two bodies at the nearest points of their axes or of the box, world axes."""
     radii = [getattr(shape, "radius", 0.0) for shape in shapes]
     apart = [found.let(each) for each in _difference(mine, theirs)]
     length = found.let(f"sqrt({_dot(apart, apart)})")
@@ -539,4 +646,3 @@ def _touch_each_other(found, bodies, shapes):
     force = [found.let(each) for each in found.press(depth, leaving, slips, (normal, None))]
     for body, shape, arm, sign in zip(bodies, shapes, arms, (1.0, -1.0)):
         found.act(body, shape.position, _scaled(sign, force), arm)
-    return found

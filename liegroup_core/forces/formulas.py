@@ -59,7 +59,8 @@ from liegroup_core.fields.values import LARGEST_NUMBER, QUOTE, suggestion
     TABLE,
     MORE,
     MORE_EQUAL,
-) = range(30)
+    SKIP,
+) = range(31)
 
 # {name: (operation, number of arguments)}; min, max and clip are lists of operations
 FUNCTIONS = {
@@ -86,7 +87,9 @@ ORDERS = {ast.Lt: LESS, ast.LtE: LESS_EQUAL, ast.Gt: MORE, ast.GtE: MORE_EQUAL}
 BINARY = {ast.Add: ADD, ast.Sub: SUBTRACT, ast.Mult: MULTIPLY, ast.Div: DIVIDE, ast.Pow: POWER}
 LONGEST = 2000  # characters of a formula
 DEEPEST = 200  # levels of its tree
-MOST_INSTRUCTIONS = 20000  # of all formulas of a scene
+# Of all formulas of a scene: 2 s to load. 2000 points of contact have 4000 states, of which an implicit method has five
+# full matrices, 1 GB.
+MOST_INSTRUCTIONS = 100_000
 MOST_FACTORS = 16  # of a power that is computed by products
 _LARGEST_EXPONENT = 709.78  # exp of more exceeds the largest number
 COMPARISONS = (LESS, LESS_EQUAL, MORE, MORE_EQUAL)
@@ -107,12 +110,11 @@ class Program:
 
     registers : [float] start values, of which numbers and parameters keep theirs
     code      : [(operation, to, a, b, c)]
-    owners    : [name] of the law of each instruction
     tables    : [(x, y)], points of each table
     """
 
     def __init__(self):
-        self.registers, self.code, self.owners, self.tables = [0.0], [], [], []
+        self.registers, self.code, self.tables = [0.0], [], []
         self._numbers, self._known, self._surfaces, self._others = {}, {}, {}, 0
         self.conditions = set()  # registers that are 0 or 1, or a share
 
@@ -174,15 +176,15 @@ class Program:
         return a if a in self.conditions else self.do(NOT, self.do(EQUAL, a, self.number(0.0)))
 
     def branched(self, results):
-        """[number of an instruction] with branches, on which a set of registers depends; the first one of a surface."""
-        needed, found = {*results}, {}
+        """{number of an instruction} with branches, on which a set of registers depends."""
+        needed, found = {*results}, set()
         for i in range(len(self.code) - 1, -1, -1):
             operation, to, *given = self.code[i]
             if to in needed:
                 needed.update(given)
                 if operation in BRANCHED:
-                    found[given[2]] = i
-        return sorted(found.values())
+                    found.add(i)
+        return found
 
     def compile(self, text, names, tables=()):
         """Register of the value of a formula.
@@ -573,19 +575,43 @@ def _change(operation, value, a, b, c, da, db, dc, begins, points, number):
 
 
 @kernel
+def _pass(code, i, registers, columns):
+    """Number of the instruction after a SKIP, see skipping.py; it sets the first columns of registers to zero."""
+    begin = i + 1 + code[i, 1]
+    registers[code[i, 4], 0] = 0.0
+    if registers[code[i, 2], 0] != 0.0:
+        registers[code[i, 4], 0] = 1.0
+        return begin
+    for row in range(i + 1, begin):
+        for k in range(5):
+            for c in range(columns):
+                registers[code[row, k], c] = 0.0
+    return begin + code[i, 3]
+
+
+@kernel
 def evaluate(code, begins, points, registers):
     """Compute the values of all registers (m, 2) that instructions (p, 5) write; begins, points : see table_arrays."""
-    for i in range(len(code)):
+    i = 0
+    while i < len(code):
+        if code[i, 0] == SKIP:
+            i = _pass(code, i, registers, 1)
+            continue
         a, b, c = code[i, 2], code[i, 3], code[i, 4]
         registers[code[i, 1], 0] = _value(
             code[i, 0], registers[a, 0], registers[b, 0], registers[c, 0], begins, points, b
         )
+        i += 1
 
 
 @kernel
 def differentiate(code, begins, points, registers):
     """As `evaluate`, also the derivatives along the direction of those of the inputs."""
-    for i in range(len(code)):
+    i = 0
+    while i < len(code):
+        if code[i, 0] == SKIP:
+            i = _pass(code, i, registers, 2)
+            continue
         operation, to, a, b, c = code[i, 0], code[i, 1], code[i, 2], code[i, 3], code[i, 4]
         x, y, z = registers[a, 0], registers[b, 0], registers[c, 0]
         dx, dy, dz = registers[a, 1], registers[b, 1], registers[c, 1]
@@ -596,3 +622,4 @@ def differentiate(code, begins, points, registers):
             registers[to, 1] = 0.0
         else:
             registers[to, 1] = _change(operation, value, x, y, z, dx, dy, dz, begins, points, b)
+        i += 1

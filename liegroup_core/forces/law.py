@@ -26,6 +26,8 @@ see dynamics/sliding.py; after the held numbers is kept what its branch is: 0, o
 """
 
 import math
+import operator
+from collections import Counter, deque
 from contextlib import nullcontext
 from itertools import chain
 from keyword import iskeyword
@@ -56,6 +58,8 @@ from .formulas import (
     ABOVE,
     BELOW,
     COMPARISONS,
+    MORE,
+    MORE_EQUAL,
     RESERVED,
     TABLE,
     TIME,
@@ -72,6 +76,7 @@ from .formulas import (
 )
 from .instants import exact_seconds
 from .readings import INPUT, POINTS, RATE, input_row, names_of, number_of, read_all, read_changes, reading, varies
+from .skipping import arrange
 
 OUTPUT = np.dtype(
     [
@@ -98,17 +103,20 @@ class Laws(Struct):
     axes: np.ndarray  # (j,) of axis.ROW: joints that are read or driven
     units: np.ndarray  # (j, 2) first of the registers with their unit wrenches; 1: also needed without derivatives
     inputs: np.ndarray  # (k,) of INPUT
-    code: np.ndarray  # (p, 5) instructions
-    kinks: np.ndarray  # (q,) those with branches that can change
+    code: np.ndarray  # (p, 5) instructions, and blocks that can be skipped, see skipping.py
+    shown: np.ndarray  # (p', 5) the same, with signals that no output needs
+    kinks: np.ndarray  # (q, 2) those with branches that can change; register f of the block it is in, or -1
     surfaces: np.ndarray  # (s,) numbers of the kinks along which a motion can slide
-    compared: np.ndarray  # (q,) 1 for comparisons
+    compared: np.ndarray  # (q,) 1 for comparisons, 2 for those along which a motion can slide
     tables: np.ndarray  # (t + 1,) first points of the tables
     points: np.ndarray  # (n, 2) their points
     outputs: np.ndarray  # (o,) of OUTPUT
     owners: np.ndarray  # (o,) number of the law of each output
     results: np.ndarray  # (r,) registers of outputs and of rates of states, of all continuous laws
-    signals: np.ndarray  # (w,) registers of their signals
-    states: np.ndarray  # (s, 2) registers of the value and of the rate of each state
+    signals: np.ndarray  # (w,) registers of their signals; 0: not computed at any time
+    # (s, 3) registers of the value and of the rate of each state; of the condition under which anything reads it, or
+    # -1: at any time, -2: never
+    states: np.ndarray
     held: np.ndarray  # (h,) registers of the numbers of sampled laws, which follow the unwrapped angles, or -1
     first: int  # number of unwrapped angles
     sampled_inputs: np.ndarray  # of INPUT, of one sampled law after another
@@ -468,31 +476,102 @@ def unwrapped_inputs(described, turning, sensors=()):
 
 def signals_of(described):
     """{LAW.SIGNAL: register} of a scene, in order; those of `make_laws`."""
-    return _compile_all(described)[1]
+    return _compile_all(described).signals
+
+
+def registers_of(described):
+    """{(law, signal): register} of a scene, also of signals that others cannot read."""
+    program = _compile_all(described)
+    pairs = zip(program.laws, program.compiled)
+    return {(law.name, name): register for law, own in pairs for name, register in own.signals.items()}
+
+
+class _Program(NamedTuple):
+    """Formulas of all laws of a scene.
+
+    code, shown, kinks : see Laws
+    always  : registers of the results that are computed at any time, see skipping.py
+    read    : {register that others in `code` read: conditions of all blocks around those};  inputs : read by `shown`
+    owners  : [name] of the law of each kink
+    compared, surfaces : numbers of the kinks that are comparisons, and of those along which a motion can slide
+    """
+
+    laws: list
+    compiled: list  # [_Compiled] of each
+    signals: dict  # {LAW.SIGNAL: register}
+    registers: list
+    tables: list
+    code: np.ndarray
+    shown: np.ndarray
+    kinks: np.ndarray
+    owners: list
+    compared: list
+    surfaces: list
+    always: set
+    read: dict
+    inputs: set
+
+
+_LAST = deque(maxlen=4)  # _Programs: one scene asks for its own many times
 
 
 def _compile_all(described):
-    program, signals, found = Program(), {}, []
+    laws = laws_of(described)
+    for each in _LAST:
+        if len(each.laws) == len(laws) and all(map(operator.is_, each.laws, laws)):
+            return each
+    program, signals, found, owners, needed = Program(), {}, [], [], []
     program.new(), program.new(), program.new()  # WITNESS, CAUSE, LAW_TIME
-    for law in laws_of(described):
+    for law in laws:
         try:
-            found.append((law, law.compile(program, signals)))
+            found.append(law.compile(program, signals))
         except _Misplaced as error:  # each law compiles alone, so there are too many
             raise SceneError(f'forces "{law.name}": {error.text.partition(": ")[2]}') from None
-        program.owners += [law.name] * (len(program.code) - len(program.owners))
-        signals |= {f"{law.name}.{name}": register for name, register in found[-1][1].shown.items()}
-    return program, signals, found
+        owners += [law.name] * (len(program.code) - len(owners))
+        signals |= {f"{law.name}.{name}": register for name, register in found[-1].shown.items()}
+        if law.period is None:
+            needed += [*chain(*found[-1].outputs), *found[-1].rates]
+    kinks = program.branched(needed)
+    zero = program.number(0.0)
+    # Comparisons of one surface share its branch, so none is in a block that others skip; the first one is its kink.
+    alike = Counter(program.code[i][4] for i in kinks)
+    apart = {program.code[i][1] for i in kinks if alike[program.code[i][4]] > 1}
+    kinks = {*{program.code[i][4]: i for i in sorted(kinks, reverse=True)}.values()}
+    rows, read = arrange(program.code, {*needed, *apart}, zero, program.new)
+    shown, read_by_all = arrange(program.code, {*needed, *apart, *signals.values()}, zero, program.new)
+    kinks = sorted((i, at, flag) for at, (_, i, flag) in enumerate(rows) if i in kinks)
+    compared = [k for k, (i, *_) in enumerate(kinks) if program.code[i][0] in COMPARISONS]
+    sliding = {law.name for law in laws if law.can_slide}
+    _LAST.append(
+        _Program(
+            laws,
+            found,
+            signals,
+            program.registers,
+            program.tables,
+            *(np.array([row for row, *_ in each], dtype=np.int64).reshape(-1, 5) for each in (rows, shown)),
+            np.array([row for _, *row in kinks], dtype=np.int64).reshape(-1, 2),
+            [owners[i] for i, *_ in kinks],
+            compared,
+            [k for k in compared if owners[kinks[k][0]] in sliding],
+            {row[1] for row, i, flag in rows if i >= 0 and flag < 0},
+            read,
+            read_by_all.keys(),
+        )
+    )
+    return _LAST[-1]
 
 
-def owners_of_kinks(described, kinks):
-    """Names of the laws of kinks, the numbers of instructions."""
-    return [_compile_all(described)[0].owners[i] for i in kinks]
+def owners_of_kinks(described):
+    """Names of the laws of `Laws.kinks`."""
+    return _compile_all(described).owners
 
 
 def target_registers(described):
     """{servo: [register of its target position or -1, of its target velocity or -1]} of the servos that laws lead."""
     found = {}
-    for law, compiled in _compile_all(described)[2]:
+    program = _compile_all(described)
+    for law, compiled in zip(program.laws, program.compiled):
         for each, own in zip(law.outputs, compiled.outputs):
             if each.servo is not None:
                 places = dict(zip((key for key, _ in each.formulas), own))
@@ -567,7 +646,8 @@ def sampled_laws(described, sensors=()):
     """[SampledLaw] of a scene, in order; sensors : of the scene."""
     found, first, inputs, code, signals = [], 0, 0, 0, set()
     sensors = {each.name: each for each in sensors}
-    for law, compiled in _compile_all(described)[2]:
+    program = _compile_all(described)
+    for law, compiled in zip(program.laws, program.compiled):
         known = {*signals}
         signals |= {f"{law.name}.{name}" for name in compiled.shown}
         if law.period is None:
@@ -589,26 +669,11 @@ def sampled_laws(described, sensors=()):
 
 def held_of(described):
     """Names of the numbers that sampled laws hold, and of branches of surfaces, as they follow the unwrapped angles."""
-    owners, names = [law.name for law, *_ in _surfaces_of(*_compile_all(described))], []
+    program, names = _compile_all(described), []
+    owners = [program.owners[k] for k in program.surfaces]
     for number, owner in enumerate(owners):
         names.append(f"{owner}.branches[{number - owners.index(owner)}]")
     return [name for each in sampled_laws(described) for name in each.names] + names
-
-
-def _results(found):
-    """Registers of outputs and of rates of states of all continuous laws."""
-    results = []
-    for law, compiled in found:
-        if law.period is None:
-            results += [*chain(*compiled.outputs), *compiled.rates]
-    return results
-
-
-def _surfaces_of(program, _, found):
-    """[(law, number of a kink)] of the comparisons of laws along which a motion can slide."""
-    laws = {law.name: law for law, _ in found}
-    rows = [(laws[program.owners[i]], k, program.code[i][0]) for k, i in enumerate(program.branched(_results(found)))]
-    return [(law, k) for law, k, operation in rows if operation in COMPARISONS and law.can_slide]
 
 
 def make_laws(described, index, ends, angles, slides, first, sensors=()):
@@ -617,27 +682,29 @@ def make_laws(described, index, ends, angles, slides, first, sensors=()):
     index, ends : see kinds.make_forces;  angles : {joint: index of its unwrapped angle};  first : number of these
     slides : names of the joints whose coordinate is a displacement
     """
-    program, signals, found = _compile_all(described)
-    outputs, owners, states, held, start, sampled_code, shown = [], [], [], [], [], [], []
-    results, surfaces = _results(found), [k for _, k in _surfaces_of(program, signals, found)]
-    kinks = program.branched(results)
+    program = _compile_all(described)
+    compared, surfaces = set(program.compared), set(program.surfaces)
+    all_registers = [*program.registers]
+    outputs, owners, states, held, start, sampled_code, results, shown = [], [], [], [], [], [], [], []
     reads = {False: [], True: []}  # of continuous laws, and of sampled ones
     waiting = iter(sampled_laws(described))
     sensors, joints = {each.name: each for each in sensors}, {}
 
     def unit_of(joint, always):
         """First register of the unit wrenches of a joint."""
-        first, before = joints.get(joint) or (len(program.registers), False)
+        first, before = joints.get(joint) or (len(all_registers), False)
         if joint not in joints:
-            program.registers += [0.0] * 6
+            all_registers.extend([0.0] * 6)
         joints[joint] = first, before or always
         return first
 
-    for number, (law, compiled) in enumerate(found):
+    for number, (law, compiled) in enumerate(zip(program.laws, program.compiled)):
         inputs = reads[law.period is not None]
         if law.period is None:
-            states += zip(compiled.states.values(), compiled.rates)
-            shown += compiled.signals.values()
+            reads_state = [(*program.read[at], -1)[0] if at in program.read else -2 for at in compiled.states.values()]
+            states += zip(compiled.states.values(), compiled.rates, reads_state)
+            results += [*chain(*compiled.outputs), *compiled.rates]
+            shown += [at if at in program.always else 0 for at in compiled.signals.values()]
         else:
             own, late = compiled.sampled, next(waiting)
             later = late.delayed * late.outputs
@@ -645,7 +712,7 @@ def make_laws(described, index, ends, angles, slides, first, sensors=()):
             start += [each.start for each in law.states.values()] + [0.0] * (len(own.held) - len(law.states) + later)
             sampled_code += own.code
         for name, each in law.inputs.items():
-            if each.quantity in signals:
+            if each.quantity in program.signals or law.period is None and compiled.inputs[name] not in program.inputs:
                 continue
             found = reading(each.quantity, ends, sensors, each.point)
             motion = axis.fields(found.joint in slides, *ends[found.joint]) if found.joint else NO_AXIS
@@ -659,29 +726,30 @@ def make_laws(described, index, ends, angles, slides, first, sensors=()):
                 outputs.append((index[each.body], own, each.axes == "world", each.point, -1, *NO_AXIS))
         owners += [number] * (len(outputs) - len(owners))
     begins, points = table_arrays(program.tables)
-    registers = np.zeros((len(program.registers), 2))
-    registers[:, 0] = program.registers
+    registers = np.zeros((len(all_registers), 2))
+    registers[:, 0] = all_registers
     inputs, sampled_inputs = (np.array(rows, dtype=INPUT) for rows in reads.values())
     return Laws(
         axes=np.array([axis.fields(joint in slides, *ends[joint]) for joint in joints], dtype=axis.ROW),
         units=np.array(list(joints.values()), dtype=np.int64).reshape(-1, 2),
         inputs=inputs,
-        code=np.array(program.code, dtype=np.int64).reshape(-1, 5),
-        kinks=np.array(kinks, dtype=np.int64),
-        surfaces=np.array(surfaces, dtype=np.int64),
-        compared=np.array([program.code[i][0] in COMPARISONS for i in kinks], dtype=np.int64),
+        code=program.code,
+        shown=program.shown,
+        kinks=program.kinks,
+        surfaces=np.array(program.surfaces, dtype=np.int64),
+        compared=np.array([(k in compared) + (k in surfaces) for k in range(len(program.kinks))], dtype=np.int64),
         tables=begins,
         points=points,
         outputs=np.array(outputs, dtype=OUTPUT),
         owners=np.array(owners, dtype=np.int64),
         results=np.array(results, dtype=np.int64),
         signals=np.array(shown, dtype=np.int64),
-        states=np.array(states, dtype=np.int64).reshape(-1, 2),
+        states=np.array(states, dtype=np.int64).reshape(-1, 3),
         held=np.array(held, dtype=np.int64),
         first=first,
         sampled_inputs=sampled_inputs,
         sampled_code=np.array(sampled_code, dtype=np.int64).reshape(-1, 5),
-        start=np.array([*start, *[0.0] * len(surfaces), *(each.start for _, each in states_of(described))]),
+        start=np.array([*start, *[0.0] * len(program.surfaces), *(each.start for _, each in states_of(described))]),
         scales=np.array([each.scale for _, each in states_of(described)]),
         registers=registers,
         late=np.zeros(1),
@@ -690,9 +758,16 @@ def make_laws(described, index, ends, angles, slides, first, sensors=()):
 
 
 @kernel
+def state_matters(laws, registers, s):
+    """Whether anything depends on state s, at computed registers."""
+    under = laws.states[s, 2]
+    return under == -1 or under >= 0 and registers[under, 0] != 0.0
+
+
+@kernel
 def next_branch(laws, branch, k, above):
     """Branch of kink k beyond the lower or the upper end of a branch."""
-    i = laws.kinks[k]
+    i = laws.kinks[k, 0]
     if laws.code[i, 0] != TABLE:
         return -branch if branch <= 1.0 else (BELOW if above else ABOVE)
     number = laws.code[i, 3]
@@ -711,7 +786,13 @@ def next_branch(laws, branch, k, above):
 @kernel
 def is_shared(laws, branch, k):
     """Whether a branch of kink k is that of a sliding motion."""
-    return laws.compared[k] == 1 and branch > 1.0
+    return laws.compared[k] == 2 and branch > 1.0
+
+
+@kernel
+def may_be_beyond(laws, branch, k):
+    """Whether a branch of kink k may begin beyond its end by the error of the method: after a sliding motion."""
+    return laws.compared[k] == 2 and branch <= 1.0
 
 
 @kernel
@@ -722,7 +803,7 @@ def _read(laws, angle, pose, twist, registers):
         if laws.held[j] >= 0:
             registers[laws.held[j], 0] = angle[laws.first + j]
     for j in range(len(laws.surfaces)):
-        at = laws.code[laws.kinks[laws.surfaces[j]], 4]
+        at = laws.code[laws.kinks[laws.surfaces[j], 0], 4]
         if registers[at, 0] == UNKNOWN:
             registers[at, 0] = angle[laws.first + len(laws.held) + j]
     for e in range(len(laws.axes)):
@@ -759,7 +840,7 @@ def _add(body, torque, force, wrench_out):
 def forget_branches(laws, registers):
     """Let surfaces have the branches that were kept, see `_read`."""
     for j in range(len(laws.surfaces)):
-        registers[laws.code[laws.kinks[laws.surfaces[j]], 4], 0] = UNKNOWN
+        registers[laws.code[laws.kinks[laws.surfaces[j], 0], 4], 0] = UNKNOWN
 
 
 @kernel
@@ -768,21 +849,30 @@ def set_branches(laws, branches, registers):
     if len(branches) == 0:
         forget_branches(laws, registers)
     for k in range(len(branches)):
-        registers[laws.code[laws.kinks[k], 4], 0] = branches[k]
+        registers[laws.code[laws.kinks[k, 0], 4], 0] = branches[k]
 
 
 @kernel
 def distances_in(laws, branch, registers, k):
-    """Distances of kink k to the ends of a branch, at computed registers, see formulas.distances."""
-    i = laws.kinks[k]
+    """Distances of kink k to the ends of a branch, at computed registers, see formulas.distances.
+
+    Infinite where its block is skipped. Then its branch is any; once that holds no more, its end is passed.
+    """
+    if laws.kinks[k, 1] >= 0 and registers[laws.kinks[k, 1], 0] == 0.0:
+        return math.inf, math.inf
+    i = laws.kinks[k, 0]
     a, b = laws.code[i, 2], laws.code[i, 3]
     return distances(laws.code[i, 0], registers[a, 0], registers[b, 0], branch, laws.tables, laws.points, b)
 
 
 @kernel
 def branch_of(laws, registers, k):
-    """Branch of kink k, at computed registers."""
-    i = laws.kinks[k]
+    """Branch of kink k, at computed registers; where its block is skipped always the same."""
+    i = laws.kinks[k, 0]
+    if laws.kinks[k, 1] >= 0 and registers[laws.kinks[k, 1], 0] == 0.0:
+        if laws.code[i, 0] == TABLE:
+            return branch_of_segment(-1)
+        return BELOW if laws.code[i, 0] == MORE or laws.code[i, 0] == MORE_EQUAL else ABOVE  # it does not hold
     a, b = laws.code[i, 2], laws.code[i, 3]
     return present_branch(laws.code[i, 0], registers[a, 0], registers[b, 0], laws.tables, laws.points, b)
 
@@ -808,6 +898,8 @@ def _differentiate(laws, registers):
 def branch_matters(laws, branches, registers, k, branch, force, span, part, least):
     """1 if another branch of kink k changes outputs or states by more than `least`, at the inputs in registers.
 
+    Also if with that branch a block with kinks is evaluated, and is not without: these may have been passed since.
+
     force : N, sum of all forces;  span : s, in which rates change states
     part : of the change that counts, for a continuous kink
     """
@@ -820,12 +912,18 @@ def branch_matters(laws, branches, registers, k, branch, force, span, part, leas
             registers[at[c], 1] = registers[at[c], 0]
     for s in range(len(laws.states)):
         registers[laws.states[s, 1], 1] = registers[laws.states[s, 1], 0]
-    i = laws.kinks[k]
+    for j in range(len(laws.kinks)):
+        if laws.kinks[j, 1] >= 0:
+            registers[laws.kinks[j, 1], 1] = registers[laws.kinks[j, 1], 0]
+    i = laws.kinks[k, 0]
     registers[laws.code[i, 4], 0] = branch
     _evaluate(laws, registers)
-    if laws.compared[k] == 1:
+    if laws.compared[k] > 0:
         part = 1.0
     found = 0
+    for j in range(len(laws.kinks)):
+        if laws.kinks[j, 1] >= 0 and registers[laws.kinks[j, 1], 0] > registers[laws.kinks[j, 1], 1]:
+            found = 1
     for e in range(len(laws.outputs)):
         at = laws.outputs[e]["registers"]
         for c in range(6):
@@ -867,7 +965,7 @@ def _open_branches(laws, registers, column):
     if len(laws.kinks) == 0 or _are_numbers(laws, registers, column):
         return False
     for k in range(len(laws.kinks)):
-        registers[laws.code[laws.kinks[k], 4], 0] = UNKNOWN
+        registers[laws.code[laws.kinks[k, 0], 4], 0] = UNKNOWN
     return True
 
 
@@ -882,6 +980,13 @@ def measure(laws, angle, pose, twist, registers):
     if _open_branches(laws, registers, 0):
         _evaluate(laws, registers)
     _note_undefined(laws, registers)
+
+
+@kernel
+def measure_all(laws, angle, pose, twist, registers):
+    """As `measure`, with signals that no output needs."""
+    measure(laws, angle, pose, twist, registers)
+    evaluate(laws.shown, laws.tables, laws.points, registers)
 
 
 @kernel
@@ -913,8 +1018,8 @@ def _note_undefined(laws, registers):
 
 @kernel
 def sample(laws, inputs, noise, code, angle, pose, twist, registers):
-    """As `measure`, then the instructions (p, 5) of a sampled law with its inputs (k,) and their noise (k,)."""
-    measure(laws, angle, pose, twist, registers)
+    """As `measure_all`, then the instructions (p, 5) of a sampled law with its inputs (k,) and their noise (k,)."""
+    measure_all(laws, angle, pose, twist, registers)
     read_all(inputs, angle, pose, twist, registers)
     for e in range(len(inputs)):
         registers[inputs[e]["to"], 0] += noise[e]
@@ -931,8 +1036,9 @@ def add_wrench(laws, registers, pose, wrench_out):
             axis.apply(row, axis.kept_unit(registers, row["unit"]), effort, wrench_out)
         else:
             torque, force = _wrench(row, registers, 0)
-            torque, force = _in_body(row, pose, torque, force)
-            _add(row["body"], torque, force, wrench_out)
+            if dot3(torque, torque) != 0.0 or dot3(force, force) != 0.0:  # most points of contact do not touch
+                torque, force = _in_body(row, pose, torque, force)
+                _add(row["body"], torque, force, wrench_out)
 
 
 @kernel
@@ -979,7 +1085,7 @@ def measure_slopes(laws, angle, pose, twist, rates, registers, out):
     measure_changes(laws, angle, pose, twist, twist, rates, registers)
     registers[0, 1] = registers[LAW_TIME, 1] = 0.0
     for j in range(len(laws.surfaces)):
-        i = laws.kinks[laws.surfaces[j]]
+        i = laws.kinks[laws.surfaces[j], 0]
         out[j] = registers[laws.code[i, 2], 1] - registers[laws.code[i, 3], 1]
 
 

@@ -79,7 +79,7 @@ class Sampling:
     """Sampled laws of a Layout on the StepGrid of a run."""
 
     def __init__(self, layout, grid):
-        self._forces, self._laws = layout.model.forces, sampled_laws(layout.scene.forces, layout.scene.sensors)
+        self._forces, self._laws = layout.model.forces, sampled_laws(layout.centred.forces, layout.scene.sensors)
         self._grid = grid
         self._samples, self._starts = [], []  # _Times, the latter None without a delay
         for each in self._laws:

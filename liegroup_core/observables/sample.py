@@ -330,7 +330,7 @@ class Sample:
     def registers(self) -> NDArray[np.float64]:
         """(m, 2) numbers of the laws, see forces/law.py."""
         found = kinds.registers_at(self._layout.model.forces, self.time, self.angles)
-        law.measure(self._layout.model.forces.laws, self.angles, *self._state, found)
+        law.measure_all(self._layout.model.forces.laws, self.angles, *self._state, found)
         return found
 
     @cached_property

@@ -3,8 +3,9 @@
 
 import numpy as np
 
-from liegroup_core.forces.formulas import BELOW, OPEN
-from liegroup_core.forces.law import results_of
+from liegroup_core.forces.formulas import ABOVE, AND, BELOW, LESS, LESS_EQUAL, OPEN
+from liegroup_core.forces.law import registers_of
+from liegroup_core.forces.skipping import instructions
 from liegroup_core.lie.groups import cross
 
 
@@ -19,12 +20,12 @@ class Touching:
         described, laws = layout.centred.forces, layout.model.forces.laws
         self.names = tuple(force.name for force in described if force.type == "contact")
         self._com = layout.offsets.com
-        signals = {key: int(at) for key, at in zip(results_of(described)[1], laws.signals)}
+        signals = registers_of(described)
         rows, points = iter(laws.outputs), []
         for force in (each for each in described if hasattr(each, "as_law")):
             own = [next(rows) for each in force.as_law.outputs if each.servo is None]
             for k, *names in force.points if force.type == "contact" else ():
-                register = lambda each, law=force.name: signals.get((law, f"signals.{each}"), -1)  # noqa: E731
+                register = lambda each, law=force.name: signals.get((law, each), -1)  # noqa: E731
                 normal, arm = names
                 numbers = [each if register(each) < 0 else 0.0 for each in arm]
                 points.append((force.name, own[k], register(normal), [register(each) for each in arm], numbers))
@@ -36,13 +37,20 @@ class Touching:
         self._normals, self._arms = np.array(normals, dtype=int), np.array(arms, dtype=int).reshape(-1, 3)
         self._numbers = np.array(numbers, dtype=float).reshape(-1, 3)
         self.bodies = self._bodies[self._of.argmax(axis=1)] if self.names else self._bodies
-        # A normal force is `... if depth > 0 and damping*leaving < 1 else 0`: the kinks of both comparisons.
-        writes, kinks = (
-            {int(row[1]): row for row in laws.code},
-            {int(laws.code[i, 1]): k for k, i in enumerate(laws.kinks)},
-        )
-        both = [writes[int(writes[normal][2])][2:4] for normal in normals]
-        self._kinks = np.array([[kinks[int(each)] for each in pair] for pair in both], dtype=int).reshape(-1, 2)
+        # A normal force is `... if near and depth > 0 and damping*leaving < 1 else 0`: the kinks of the comparisons.
+        writes = {row[1]: row for row in instructions(laws.code.tolist())}
+        kinks = {int(laws.code[i, 4]): k for k, i in enumerate(laws.kinks[:, 0])}
+
+        def all_of(register):
+            operation, _, a, b, c = writes[register]
+            if operation == AND:
+                return [*all_of(a), *all_of(b)]
+            return [(kinks[c], BELOW if operation in (LESS, LESS_EQUAL) else ABOVE)]
+
+        found = [all_of(writes[normal][2]) for normal in normals]
+        most = max(map(len, found), default=1)
+        pairs = np.reshape([each + each[:1] * (most - len(each)) for each in found], (-1, most, 2))
+        self._kinks, self._sides = pairs[..., 0].astype(int), pairs[..., 1]
 
     def presses(self, registers):
         """(m,) whether each point of a contact presses."""
@@ -51,7 +59,7 @@ class Touching:
     def presses_in(self, branches, before):
         """The same by the branches (q,) of the kinks of laws; before : as it was, where a branch is open."""
         found = branches[self._kinks]
-        return np.where((found == OPEN).any(axis=1), before, (found == BELOW).all(axis=1))
+        return np.where((found == OPEN).any(axis=1), before, (found == self._sides).all(axis=1))
 
     def any_of(self, presses):
         """(c,) whether some point of each contact presses, by `presses` (m,)."""

@@ -14,7 +14,7 @@ from liegroup_core.fields.values import Described, NotNegative, Number, Positive
 
 from .access import trees
 from .apart import triangulated
-from .description import frame_keys, listed
+from .description import WORLD, frame_keys, listed
 from .names import scene_name
 from .resources import readable_mesh
 
@@ -64,7 +64,7 @@ def add_contacts(robot, options, grouping, parts, body_of, taken):
         raise options.error(("ground",), text)
     links = [link for name, link in touching.items() if name in (ground.links or touching)]
     pairs = [(link, collision, collision.shape()) for link in links for collision in link.collisions]
-    hulls, left, inside = _hulls(robot, pairs, ground.sinks), [], []
+    hulls, left, depths = _hulls(robot, pairs, ground.sinks), [], []
     for link, collision, visual in pairs:
         shape, what = _shape(visual, hulls)
         if shape is None:
@@ -72,9 +72,7 @@ def add_contacts(robot, options, grouping, parts, body_of, taken):
             continue
         group = grouping.of_link[link.name]
         pose = group.places[link.name] @ visual.pose
-        depth = ground.height - _lowest(shape, group.pose @ pose)
-        if depth > ground.sinks:
-            inside.append((depth, link.name))
+        depths.append((ground.height - _lowest(shape, group.pose @ pose), link.name))
         friction = ground.friction
         if friction is None:
             friction = FRICTION if collision.friction is None else collision.friction()
@@ -91,13 +89,25 @@ def add_contacts(robot, options, grouping, parts, body_of, taken):
         notes.append(f"changes the motion: {_counted(others)} do not touch the ground")
     if left:
         notes.append(f"changes the motion: collision shapes that do not touch the ground: {listed(left)}")
-    if inside:
-        depth, name = max(inside)
+    depth, name = max(depths, default=(0.0, ""))
+    if depths and _may_be_placed(robot, options, grouping):
+        for group, body in zip((each for each in grouping.groups if each is not grouping.world), parts.bodies):
+            group.pose[2, 3] += depth
+            body |= frame_keys(group.pose)
+        notes.append(f"starts on the ground: {name} touches it, the origin of the root link is at {depth:.3g} m")
+    elif depth > ground.sinks:
         notes.append(
             f"changes the motion: start inside the ground, which throws the robot up: {name} by {depth:.3g} m; give "
             "its root link a start, or the ground a height"
         )
     return notes
+
+
+def _may_be_placed(robot, options, grouping):
+    """Whether nothing says at which height a robot starts: a URDF file has no pose of its root link."""
+    ends = {grouping.of_link[end] is grouping.world for each in grouping.moving for end in (each.parent, each.child)}
+    given = options.placed_links(robot) or options.roll or options.joints
+    return robot.kind == "URDF" and not given and not any(ends) and grouping.world.links in ([], [WORLD])
 
 
 def _shape(visual, hulls):

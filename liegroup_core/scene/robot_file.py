@@ -142,7 +142,9 @@ class RobotFile(Described):
     roll: ByJoint = Field({}, description="radius in m of the wheels at these joints, which roll on z = 0 of the world")
     drive: Drive | None = Field(None, description="wheels that the node commands by ~/cmd_vel")
     ground: Annotated[Ground | None, BeforeValidator(_ground)] = Field(
-        None, description="horizontal plane that the collision shapes touch, {} for its defaults; default: none"
+        None,
+        description="horizontal plane that the collision shapes touch, {} for its defaults; default: none. A floating "
+        "URDF robot without a start of a link stands on it",
     )
 
 

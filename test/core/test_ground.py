@@ -13,6 +13,7 @@ from scene_files import text_of
 from liegroup_core import SceneError, Simulation, load_scene
 from liegroup_core.robots.ground import Ground
 from liegroup_core.robots.options import Options
+from liegroup_core.robots.starts import Start
 from liegroup_core.scene.load import scene_from_robot
 
 FILES = {kind: text_of(f"legs.{kind}") for kind in ("urdf", "sdf", "xml")}
@@ -53,6 +54,17 @@ def test_collision_shapes_of_each_format_become_the_same_contacts(kind, tmp_path
     assert "collision shapes that do not touch the ground: ellipsoid of trunk" in notes
     # The foot is 0.25 below a knee at -0.05, its leg leans; its ball has a radius of 0.04.
     deep = 0.1 + 0.05 + 0.25 * math.cos(0.3) + 0.04
+    made = on_ground(path, height=0.1)
+    if kind == "urdf":  # its file does not say at which height it starts
+        assert f"foot touches it, the origin of the root link is at {deep:.3g} m" in notes
+        assert made.bodies[0].position == pytest.approx((0.0, 0.0, deep), abs=1e-15)
+        lifted = np.subtract(
+            made.bodies[1].position, scene_from_robot(path, Options(base="floating")).bodies[1].position
+        )
+        assert_allclose(lifted, (0.0, 0.0, deep), atol=1e-15)
+        given = {"base": "floating", "ground": Ground(height=0.1), "start": {"trunk": Start(position=(0, 0, 0.1))}}
+        notes = "\n".join(scene_from_robot(path, Options(**given)).notes)
+        deep -= 0.1
     assert f"start inside the ground, which throws the robot up: foot by {deep:.3g} m" in notes
     (only,) = contacts(on_ground(path, links=["foot"], friction=0.3))
     assert (only.name, only.friction, only.plane.point) == ("foot_ground", 0.3, (0.0, 0.0, 0.0))

@@ -13,7 +13,9 @@ from numpy.testing import assert_allclose
 from liegroup_core import SceneError, Simulation
 from liegroup_core.lie.groups import SO3
 from liegroup_core.linear import linearise, sensitivities
+from liegroup_core.reports import explain
 from liegroup_core.scene.load import scene_from_text
+from liegroup_core.status import NOT_FINITE
 
 G, RADIUS = 9.81, 0.1
 BALL = "{name: ball, shape: {type: sphere, radius: 0.1, mass: 2}, position: [0, 0, %s], linear_velocity: [%s, 0, %s]}"
@@ -53,6 +55,24 @@ def test_a_ball_on_a_linear_contact_keeps_its_height_through_a_thousand_bounces(
         assert abs(sample.pose[0, 11] - RADIUS - height) <= 1e-9
         assert abs(sample.twist[0, 5]) <= 1e-8 * bounces
     assert simulation._switching.tally.sum() == 2000
+
+
+def test_no_touch_of_a_fast_slab_is_missed():
+    """A flat box on four corners is the ball on a spring, between two planes too: v t = 2 n (gap + way in contact)."""
+    stiffness, speed, gap = 4e6, 30.0, 0.5
+    body = (
+        "{name: slab, shape: {type: box, size: [0.3, 0.3, 0.2], mass: 2}, position: [0, 0, 0.35], "
+        f"linear_velocity: [0, 0, {speed}]}}"
+    )
+    keys = f"body: slab, stiffness: {stiffness / 4}, damping: 0"
+    planes = [f"name: floor, {keys}", f"name: roof, {keys}, plane: {{point: [0, 0, 0.7], normal: [0, 0, -1]}}"]
+    simulation = Simulation(scene([body], planes, gravity=0.0), accuracy=1e-9, quiet=True)
+    for count in (1, 50):
+        # Half a turn of the spring at each plane; then it is in the middle again, and flies upwards.
+        simulation.advance_to(2 * count * (gap / speed + math.pi / math.sqrt(stiffness / 2.0)))
+        sample = simulation.sample()
+        assert sample.pose[0, 11] == pytest.approx(0.35, abs=1e-8 * count)
+        assert sample.twist[0, 5] == pytest.approx(speed, rel=1e-8)
 
 
 @pytest.mark.parametrize("restitution, speed", [(0.9, 1.0), (0.5, 2.0), (0.1, 0.3), (0.02, 5.0)])
@@ -246,6 +266,7 @@ SKELETONS = {
     "box": (3, "type: box, size: [0.4, 0.6, 0.8]"),
 }
 PAIRS = [("sphere", "sphere"), ("sphere", "capsule"), ("capsule", "capsule"), ("sphere", "box"), ("box", "sphere")]
+PAIRS += [("capsule", "box"), ("box", "capsule")]
 
 
 @pytest.mark.parametrize("kinds", PAIRS)
@@ -288,6 +309,33 @@ def test_depths_are_those_of_the_nearest_points(kinds, seed):
     assert shown["c.depth"] == pytest.approx(radii - math.sqrt(best), abs=1e-6)
 
 
+@pytest.mark.parametrize("aside", [0.0, 0.04])
+@pytest.mark.parametrize("length", [0.2, 0.6])
+def test_a_bar_on_a_box_bears_on_the_ends_of_what_touches(length, aside):
+    """The lever rule: on its ends or, if it is longer than the box, on the edges of that. Depths are N / k."""
+    radius, stiffness, half = 0.05, 1e5, 0.5 * min(length, 0.3)
+    bodies = [
+        f"{{name: bar, mass: 3, inertia: [0.1, 0.1, 0.1], position: [{aside}, 0, {0.1 + radius}]}}",
+        "{name: table, mass: 1, inertia: [1, 1, 1]}",
+    ]
+    shape = f"{{type: capsule, radius: {radius}, length: {length}, axis: [1, 0, 0], position: [{-aside}, 0, 0]}}"
+    contact = f"name: c, body: bar, other: table, shape: {shape}, stiffness: {stiffness}, damping: 5, friction: 0.5"
+    held = "joints:\n  - {name: fix, type: fixed, parent: world, child: table, parent_frame: {}}\n"
+    table = "other_shape: {type: box, size: [0.3, 0.4, 0.2]}, slip: 1e-4"
+    simulation = Simulation(scene(bodies, [f"{contact}, {table}"], more=held), accuracy=1e-6, quiet=True)
+    simulation.advance_to(3.0)
+    sample, weight = simulation.sample(), 3 * G
+    loads = weight * (0.5 + 0.5 * np.array([-aside, aside]) / half)
+    # Points that are beyond an edge have normals that lean outwards by `short` / length, where friction may press.
+    assert sample.signals["c.normal_force"] == pytest.approx(weight, rel=0.5 * 4 * G / stiffness / length)
+    assert sample.signals["c.depth"] == pytest.approx(loads.max() / stiffness, rel=2e-3)
+    rotation = sample.pose[0, :9].reshape(3, 3)
+    # Depths change along the bar as it leans; the points are beyond an edge by r times its slope, 1e-3 or less.
+    slope = (loads[0] - loads[1]) / stiffness / (2.0 * half)
+    assert rotation[2, 0] == pytest.approx(slope, abs=2e-3 * weight / stiffness / half)
+    assert np.abs(sample.twist[0]).max() < 1e-6
+
+
 def test_a_standing_ball_is_a_spring_and_its_motion_is_linear():
     """lambda^2 = -k/m for the height; rolling is free, and friction holds the point of contact."""
     made = ball("stiffness: 2e4, damping: 0, friction: 0.5, slip: 1e-4, settles: 0", RADIUS - 2 * G / 2e4)
@@ -328,7 +376,21 @@ def test_a_wrong_contact_is_refused_in_one_line(change, reason):
         ball(change)
 
 
+@pytest.mark.parametrize("step, told", [(0.02, True), (0.002, False)])
+def test_a_step_that_is_too_long_for_a_contact_is_told(step, told, caplog):
+    """sqrt(2 kg / 2e4 N/m) is 0.01 s; a run that stops says it, too."""
+    made = ball("stiffness: 2e4, damping: 0", RADIUS + 0.01)
+    simulation = Simulation(made, "rkmk4", step)
+    text = "contact floor acts within 0.01 s, sqrt(mass / stiffness): give steps well below that"
+    simulation.advance_to(0.1)
+    assert (text in caplog.text) == told
+    assert (text in explain(simulation, NOT_FINITE)) == told
+    caplog.clear()
+    Simulation(made, accuracy=1e-3).advance_to(0.1)
+    assert text not in caplog.text
+
+
 def test_boxes_do_not_touch_each_other():
     bodies = [f"{{name: {name}, shape: {{type: box, size: [1, 1, 1], mass: 1}}}}" for name in "ab"]
-    with pytest.raises(SceneError, match="a box can touch a plane or a sphere"):
+    with pytest.raises(SceneError, match="a box can touch a plane or a round body"):
         scene(bodies, ["name: c, body: a, other: b, stiffness: 1, damping: 1"])

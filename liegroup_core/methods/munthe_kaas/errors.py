@@ -5,7 +5,7 @@ The differences of the degrees of freedom add up along the tree, so links are pr
 """
 
 from liegroup_core.compiling import kernel
-from liegroup_core.dynamics.algebra import is_direct, lifted, link_of, rate_twist, relative, spatial
+from liegroup_core.dynamics.algebra import is_direct, lifted, link_of, rate_twist, relative, spatial, tree_size
 from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.se3 import se3_Ad_inverse
 from liegroup_core.lie.vec3 import add3, cross3, load3, store3, vector3
@@ -54,19 +54,20 @@ def _of_link(model, work, i, place):
 
 
 @kernel
-def _error_of_state(model, work, i, rtol, atol):
-    """Square of the error estimate of a state of a law, if link i has one."""
-    for s in range(len(model.law_links)):
-        if model.law_links[s] == i:
-            value = abs(work.stage_twist[len(model.bodies) + i, 0])
-            error = work.difference[1, 0] / (atol * model.space.forces.laws.scales[s] + rtol * value)
-            return error * error
-    return 0.0
+def _error_of_state(model, work, scheme, row, h, i, rtol, atol):
+    """Square of the error estimate of the state of a law, the rate of link i."""
+    change, value = 0.0, abs(work.stage_twist[len(model.bodies) + i, 0])
+    for stage in range(scheme.error.shape[1]):
+        change += scheme.error[row, stage] * work.slopes[stage * len(work.freedoms) + model.links[i]["freedom"], 1]
+    error = h * change / (atol * model.space.forces.laws.scales[i - tree_size(model)] + rtol * value)
+    return error * error
 
 
 @kernel
 def error_square(model, work, scheme, row, h, twist, i, rtol, atol, length):
     """Square of an error estimate of the body that represents link i; see error_control.py."""
+    if i >= tree_size(model):
+        return _error_of_state(model, work, scheme, row, h, i, rtol, atol)
     _difference(model, work, scheme, row, h, i)
     place = row * len(model.links)
     xi, eta, dw, dv = _of_link(model, work, i, place)
@@ -77,7 +78,7 @@ def error_square(model, work, scheme, row, h, twist, i, rtol, atol, length):
     link = model.links[i]
     body = link["body"]
     if body < 0:
-        return _error_of_state(model, work, i, rtol, atol) if len(model.law_links) > 0 else 0.0
+        return 0.0
     point = vector3(link["body_point"])
     eta, dv = add3(eta, cross3(xi, point)), add3(dv, cross3(dw, point))
     return error_norm_square(xi, eta, dw, dv, twist, work.stage_twist, body, rtol, atol, length)

@@ -21,6 +21,7 @@ for stiff forces.
 import math
 
 from liegroup_core.compiling import borrowed, kernel, subroutine
+from liegroup_core.forces.law import state_matters
 from liegroup_core.methods.dense_lu import complex_lu_factorise, complex_lu_solve, lu_factorise, lu_solve
 from liegroup_core.status import DEPENDENT_ROWS, NOT_CONVERGED, OK
 
@@ -92,10 +93,18 @@ def _differentiate(scheme, model, work, time, pose, external):
     """Set Q and D at the start. Returns a status."""
     newton = scheme.newton
     f = len(newton.initial)
+    first = f - len(model.law_links)  # freedom of the first state of laws, which is a rate
     for p in range(f):
         newton.z[START, p, 0] = newton.z[START, p, 1] = 0.0
     for p in range(f):
         for part in range(2):
+            if p >= first and (part == 0 or not state_matters(model.space.forces.laws, work.registers, p - first)):
+                for r in range(f):
+                    if part == 0:
+                        newton.stiffness[r, p] = 0.0
+                    else:
+                        newton.damping[r, p] = 0.0
+                continue
             change = DISPLACEMENT
             if part == 1:
                 change *= 1.0 + abs(newton.initial[p, 0])

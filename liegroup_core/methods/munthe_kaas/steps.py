@@ -9,7 +9,7 @@ import math
 
 from liegroup_core.compiling import kernel
 from liegroup_core.dynamics.accelerations import accelerations
-from liegroup_core.dynamics.algebra import is_direct
+from liegroup_core.dynamics.algebra import is_direct, tree_size
 from liegroup_core.dynamics.coordinates import displace, normalise
 from liegroup_core.dynamics.loads import UNSETTLED
 from liegroup_core.dynamics.loops import project
@@ -52,7 +52,7 @@ def move(model, work, scheme, h, stage, end, pose):
     """Set all links to X_0 exp Psi of a stage; at the end of a step, also the bodies if needed."""
     n, count = len(model.bodies), len(work.freedoms)
     first = stage * count
-    largest, links = 0.0, len(model.links)
+    largest, links = 0.0, tree_size(model)
     if model.only_free_bodies:
         largest, links = move_bodies(model, work, scheme, h, stage, end, pose), 0
     else:
@@ -69,6 +69,8 @@ def move(model, work, scheme, h, stage, end, pose):
         if is_direct(model, link):
             v = to_link(work.stage_pose, n + b, load3(work.stage_twist, n + b, 3))
             store3(v, work.stage_twist, n + b, 3)
+    for b in range(tree_size(model), len(model.links)):  # what it integrates is its rate
+        work.stage_twist[n + b, 0] = work.velocity[b, 0] + work.slopes[first + model.links[b]["freedom"], 1]
     if not largest < LARGEST_ROTATION * LARGEST_ROTATION:
         return ROTATION_TOO_LARGE if largest < math.inf else NOT_FINITE
     work.report[STEP_TURN] = max(work.report[STEP_TURN], largest)
