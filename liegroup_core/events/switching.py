@@ -322,10 +322,11 @@ class Switching(EventTimes):
                 work.branches[k] = next_branch(self._laws, work.branches[k], k, beyond[1]) if beyond[0] else UNKNOWN
             met |= left
             status = self._look(self._model, work, *state)
-        if len(self._laws.surfaces):
+        if len(work.shares):
             self._keep_shares()
         if status == OK and self.instants is not None:
-            sides = np.where((self._laws.compared == 2) & (work.branches > 1.0), SHARED, work.branches)
+            is_shared_now = (self._laws.compared[: len(work.branches)] == 2) & (work.branches > 1.0)
+            sides = np.where(is_shared_now, SHARED, work.branches)
             here = self.present_modes(), self.events[log:], sides
             self.instants.append(JointInstant(time, *here))
         return status
