@@ -21,7 +21,7 @@ from .rates import following, is_multiple
 REASONS = ("late", "early", "repeated", "damaged")
 # s of wall time: a longer wait is logged; between two looks for new listeners, which need the state once more; how
 # long after a new one it is repeated, because the two sides of DDS discover each other up to 2.5 s apart. On a loaded
-# machine that takes longer, so the state is also repeated each time that DISCOVERY has passed.
+# machine that takes longer, and a process that was stopped may have lost a message, so it is repeated every LONG, too.
 LONG, LOOK, DISCOVERY = 0.5, 0.1, 3.0
 
 
@@ -194,7 +194,7 @@ class Lockstep(CountedInput):
         before, self._listeners = self._listeners, listeners()
         if self._listeners != before:
             self._changed = now
-        before, self._repeats = self._repeats, int(waited / DISCOVERY)
+        before, self._repeats = self._repeats, int(waited / LONG)
         return text, False, "state" if now - self._changed < DISCOVERY or self._repeats > before else "clock"
 
     def _text(self, missing):
