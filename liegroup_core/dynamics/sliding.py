@@ -14,9 +14,9 @@ from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.se2 import turn_back2
 from liegroup_core.lie.se3 import se3_Ad_inverse
 from liegroup_core.lie.vec3 import add3, load3, load9, load_column, matrix3, store3, tmatvec3, vector3
-from liegroup_core.methods.dense_lu import lu_factorise, lu_solve
 
 from .algebra import choice, load, spatial
+from .dense_lu import lu_factorise, lu_solve
 
 # Newton's method with one matrix goes on while the rates decrease by half, down to ENOUGH; affine rates take one step.
 ENOUGH, PRECISE = 1e-13, 1e-8  # the largest that are accepted

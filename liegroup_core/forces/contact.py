@@ -124,15 +124,6 @@ CONTACT_SHAPES = (ContactSphere, ContactCapsule, ContactCylinder, ContactBox, Co
 AnyShape = one_of(CONTACT_SHAPES)
 
 
-class _ContactLaw(Law):
-    """Formulas of a contact."""
-
-    @property
-    def can_slide(self):
-        """No: no force jumps at its comparisons."""
-        return False
-
-
 class Contact(Force):
     """Contact of a body with a plane of the world, or with another body."""
 
@@ -365,7 +356,7 @@ class _Formulas:
         power = _plus(*self._powers)
         if self._near:
             power = f"{power} if {self._near[:-5]} else 0"
-        return _ContactLaw.model_construct(
+        law = Law.model_construct(
             name=self._name,
             inputs={name: LawInput(quantity=quantity, point=point) for (quantity, point), name in self._inputs.items()},
             parameters=self._numbers,
@@ -373,6 +364,8 @@ class _Formulas:
             signals=self._signals | shown,
             outputs=tuple(self._outputs),
         )
+        law._jumps = False
+        return law
 
     def let(self, text):
         """Name of a formula, which is evaluated once; a number stays one."""

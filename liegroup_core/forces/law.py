@@ -34,7 +34,7 @@ from keyword import iskeyword
 from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
-from pydantic import BeforeValidator, Field, WithJsonSchema, model_validator
+from pydantic import BeforeValidator, Field, PrivateAttr, WithJsonSchema, model_validator
 
 from liegroup_core.compiling import Struct, borrowed, kernel, shared, subroutine
 from liegroup_core.errors import SceneError
@@ -270,6 +270,8 @@ class Law(Force):
         (), description="list of efforts of joints and wrenches on bodies"
     )
 
+    _jumps: bool = PrivateAttr(True)
+
     @model_validator(mode="after")
     def _check(self):
         known = {}
@@ -358,8 +360,8 @@ class Law(Force):
 
     @property
     def can_slide(self):
-        """Whether a comparison may jump, so that a motion slides along it."""
-        return self.period is None
+        """Whether an output may jump at a comparison, so that a motion slides along it: not those of contacts."""
+        return self.period is None and self._jumps
 
     def on_bodies(self, child_of):
         """Names of the bodies that it reads or acts on, and of laws; child_of : {joint, servo or sensor: body}."""

@@ -24,8 +24,8 @@ def blocks(page):
 def test_the_pages_control_with_and_without_ros(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (without, with_ros), (test,) = blocks("controller.md"), blocks("tests.md")
-    Path("pd.py").write_text(without.partition("simulation = ")[0])
-    exec(compile(without, "controller.md", "exec"), {})
+    Path("pd.py").write_text(without)
+    exec(compile(without, "controller.md", "exec"), {"__name__": "__main__"})
     angle = float(capsys.readouterr().out.split()[0])
     assert f"approx({angle}, abs=1e-6)" in test
     arguments = ["double_pendulum", "--duration", "2", "--step", "1e-3", "--rate", "10", "--control", "pd.py:setup"]

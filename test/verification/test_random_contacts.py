@@ -6,7 +6,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from volume import some
 
-from liegroup_core import Simulation
+from liegroup_core import Simulation, SimulationError
 from liegroup_core.mechanism.body_model import initial_state
 from liegroup_core.reference import integrate
 from liegroup_core.scene.centres import at_centres_of_mass
@@ -51,11 +51,22 @@ def thrown(seed):
     return scene_from_text("\n".join(lines), "test")
 
 
+def reference(scene, times):
+    """Exact motion and its uncertainty; times that come after what the reference knows are removed."""
+    try:
+        return integrate(scene, *initial_state(at_centres_of_mass(scene)), np.array(times))
+    except SimulationError:  # some motions amplify differences
+        if len(times) == 2:
+            raise
+        times.pop()
+        return reference(scene, times)
+
+
 @pytest.mark.parametrize("seed", SEEDS)
 def test_an_accuracy_is_kept_through_random_contacts_or_the_run_says_so(seed):
     """The estimate is at least half of an error beyond the accuracy; the reference knows its own uncertainty."""
-    scene, times = thrown(seed), np.array([0.0, 0.2, 0.4, 0.6])
-    exact, known = integrate(scene, *initial_state(at_centres_of_mass(scene)), times)
+    scene, times = thrown(seed), [0.0, 0.2, 0.4, 0.6]
+    exact, known = reference(scene, times)
     uncertain = max(known.position.max() / SIZE, known.angle.max())
     for accuracy in (1e-2, 1e-5, 1e-9):
         simulation = Simulation(scene, accuracy=accuracy, horizon=1.0, quiet=True)

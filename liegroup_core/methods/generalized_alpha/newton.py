@@ -9,7 +9,7 @@ iterations and steps as long as the iteration converges quickly.
 import math
 
 from liegroup_core.compiling import kernel
-from liegroup_core.methods.dense_lu import lu_factorise, lu_solve
+from liegroup_core.dynamics.dense_lu import lu_factorise, lu_solve
 from liegroup_core.status import NOT_CONVERGED, OK
 
 from .arrays import sigma

@@ -21,8 +21,8 @@ for stiff forces.
 import math
 
 from liegroup_core.compiling import borrowed, kernel, subroutine
+from liegroup_core.dynamics.dense_lu import complex_lu_factorise, complex_lu_solve, lu_factorise, lu_solve
 from liegroup_core.forces.law import state_matters
-from liegroup_core.methods.dense_lu import complex_lu_factorise, complex_lu_solve, lu_factorise, lu_solve
 from liegroup_core.status import DEPENDENT_ROWS, NOT_CONVERGED, OK
 
 from . import steps
