@@ -104,8 +104,9 @@ class EventTimes(ModeChanges):
             if failed:
                 return 0.0, None, failed[0]
             if end is not None:  # else it only seemed to dip below zero
-                above = max(guard(0.0, k, c), 0.0)
-                ends.append((end * above / (above - guard(end, k, c)), end, k, c))
+                above = max(guard(0.0, k, c), 0.0)  # infinite where a law skipped it
+                place = above / (above - guard(end, k, c)) if above < math.inf else 1.0
+                ends.append((end * place, end, k, c))
         tau, crossed = size, np.zeros(places.shape, dtype=bool)
         for _, end, k, c in sorted(ends):  # by linear interpolation
             later = tau + self.same_time

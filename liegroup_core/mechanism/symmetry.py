@@ -12,7 +12,8 @@ the world's wrench W on that screw:
 The component is conserved in every motion if the right-hand side vanishes at all poses. A joint to
 the world transmits wrenches in its forbidden directions A. A cable, strut or rod to it transmits a force through
 its end there. All wrenches are assumed of other joints to it that are no lower pairs, or have a stop, friction, a
-drive, a rotor or a coupling. All other forces are evaluated at generic poses of the mechanism. The conserved screws
+drive, a rotor or a coupling, and of a plane with friction; a smooth one pushes along its normal. All other forces are
+evaluated at generic poses of the mechanism. The conserved screws
 are the null space of these wrenches. Examples:
   free in space               angular momentum in 3 directions, linear momentum in 3
   free in gravity             angular momentum about its own centre of mass in 3, linear in the 2
@@ -196,6 +197,12 @@ def _reactions(scene, frames, transmitted, group):
         if joint.parent == WORLD and joint.child in names:
             # The power on a world screw equals that on the same screw in the joint frame.
             rows.append(A @ SE3.Ad(SE3.inverse(F_a)))
+    for force in scene.forces:  # few of the poses touch a plane
+        if force.type == "contact" and force.other is None and force.body in names:
+            normal = np.array(force.plane.normal)[None] / np.linalg.norm(force.plane.normal)
+            across = _null_space(normal)
+            smooth = np.vstack([np.hstack([0.0 * normal, normal]), np.hstack([across, 0.0 * across])])
+            rows.append(np.eye(6) if force.friction else smooth)
     return np.vstack(rows)
 
 
