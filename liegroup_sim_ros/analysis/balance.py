@@ -40,10 +40,9 @@ class Balance:
         self._acting, self._grid = ActingInputs(layout, self._step), StepGrid(self._step)
         forces, self._sampling = layout.model.forces, Sampling(layout, self._grid)
         self._held = slice(len(forces.counted), len(forces.counted) + len(forces.laws.held))
-        self._laws, states = [law.name for law in laws_of(layout.scene.forces)], states_of(layout.scene.forces)
-        names, own = [name for name, _ in states], [f"{law}.{WORK}" for law in self._laws]
-        contacts = {f"{force.name}.{WORK}" for force in layout.scene.forces if force.type == "contact"}
-        self._known = [(k, names.index(name)) for k, name in enumerate(own) if name in contacts]
+        self._laws, states = [law.name for law in laws_of(layout.scene.forces)], dict(states_of(layout.scene.forces))
+        contacts = {force.name for force in layout.scene.forces if force.type == "contact"}
+        self._known = [(k, [*states].index(f"{law}.{WORK}")) for k, law in enumerate(self._laws) if law in contacts]
         self._first_state = kinds.count(forces) - len(states)
         self._has_forces = any(not force.is_conservative for force in layout.scene.forces)
         self._has_joints = bool(layout.motions or layout.switches)
@@ -130,9 +129,8 @@ class Balance:
             out[:, OTHERS.start] = [power(acting.external, *state) for state in zip(pose, twist)]
         if self._has_joints:
             found = layout.reactions.powers(pose, twist, angles, acting, modes, times.tolist())
-            out[:, OTHERS.start + 1 : IMPACTS] = (
-                found if layout.switches else found * (1.0, 0.0)
-            )  # no round-off as work
+            found = found if layout.switches else found * (1.0, 0.0)  # no round-off as work
+            out[:, OTHERS.start + 1 : IMPACTS] = found
         return out
 
     def figures(self):
