@@ -273,6 +273,7 @@ def faults(args, watcher, folder):
                     assert reference[topic][: len(entries)] == entries, topic
                 saved = rest["/clock"][-1][0] if rest["/clock"] else 0
                 print(f"    killed at {at / 1e9:.3f} s, recorded up to {saved / 1e9:.3f} s")
+                assert saved >= at - 10**6  # all answered states
                 path.unlink()
                 run.sides[0] = run.node()
                 watcher.now = 0

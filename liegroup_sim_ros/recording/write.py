@@ -2,14 +2,13 @@
 """Recorder of a simulation run: self-contained MCAP files that `ros2 bag` and other tools open.
 
 The caller's thread packs messages into chunks. The recorder's own thread compresses and writes
-whole chunks; no other thread touches the file. The two threads therefore seldom wait for each
-other. Passing single messages would interrupt the simulation a thousand times a second, which
-costs more than the recording itself.
+whole chunks. The two threads therefore seldom wait for each other. Passing single messages would
+interrupt the simulation a thousand times a second, which costs more than the recording itself.
 
-A chunk ends when it reaches CHUNK_SIZE, and `flush_interval` seconds of wall time after the last
-flush. Every write goes straight to the operating system. A killed process loses at most that
-interval (test_recorder.py), and closed chunks are readable without the end of the file. Chunks
-end between two instants, so they do not overlap in time.
+A chunk ends when it reaches CHUNK_SIZE, between two instants, so chunks do not overlap in time.
+Messages whose chunk has not ended are written behind the chunks every `flush_interval` seconds of wall
+time, and by `save` before it returns; their chunk takes their place. Every write goes straight to the operating
+system. A killed process loses at most that interval (test_recorder.py); the file is readable without its end.
 
 log_time = publish_time = the stamp of the message, simulated time in ns. Sequence numbers count
 from 1 in each channel and continue over the parts of a recording. A full disk ends the recording,
@@ -37,7 +36,6 @@ from .write_mcap import Chunk, McapFile, UnbufferedFile
 QUEUE_BYTES = 64 * 2**20  # largest size of the queue; limits it if messages are large
 LIBRARY = f"liegroup_sim_ros/{__version__}"
 _IDLE = 5e-3  # s between two checks of the queue
-_INSTANT = 20e-3  # s of wall time in which all messages of an instant arrive
 
 _log = logging.getLogger(__name__)
 
@@ -92,17 +90,17 @@ class Recorder:
         self.failure, self.is_lost = None, False
         self._continues = continues
         self._metadata = metadata or {}
-        self._channels, self._registered = [], []
+        self._channels = []
         self._schema_ids = {}  # message type -> schema id in the present file
         self._chunk = Chunk()  # under construction
         self._queue = deque()  # chunks, and functions for the recorder's thread
+        self._disk = threading.Lock()  # of the file and of the front of the queue; taken before the other one
         self._lock = threading.Lock()  # of the chunk and of the end of the queue
         self._queue_size = queue_size
         self._submitted = 0  # messages passed to `write` so far
         self._bytes_in = self._bytes_out = 0  # of all chunks queued, and taken from the queue
         self._flush_interval = flush_interval
         self._flush_at = time.monotonic() + flush_interval
-        self._flushing = None  # the chunk that is to end with the current instant
         self._max_size, self._max_duration = max_size, max_duration
         self._part_since = None  # stamp, ns; None: no sample yet
         self._is_dividing = False
@@ -148,7 +146,7 @@ class Recorder:
         return part_path(self._first_path, 1, part)
 
     def add_channel(self, topic, msg_type, qos="reliable", depth=10):
-        """Add a channel; returns its number for `write`. Only one thread may add channels.
+        """Add a channel; returns its number for `write`.
 
         msg_type such as "geometry_msgs/msg/PoseStamped"; qos and depth as in schemas.qos_profile.
         Raises RecorderError if the type is not installed.
@@ -160,10 +158,10 @@ class Recorder:
             )
         except schemas.SchemaError as error:
             raise RecorderError(f"cannot record {topic}: {error}") from None
-        with self._lock:
+        with self._disk, self._lock:
             self._channels.append(channel)
             channel.id = len(self._channels)
-            self._queue.append(lambda: self._register(channel))
+            self._add_to_file(channel)
             return channel.id - 1
 
     def write(self, channel, stamp_ns, data):
@@ -180,11 +178,25 @@ class Recorder:
                 self.lost += 1
                 return
             chunk = self._chunk
-            if chunk.size > chunk.limit and chunk.may_end_before(stamp_ns):
+            if chunk.ends_before(stamp_ns):
                 self._close_chunk()
                 chunk = self._chunk
             channel.sequence += 1
             chunk.add(channel.id, stamp_ns, data, channel.sequence & 0xFFFFFFFF)
+
+    def save(self):
+        """Write all messages so far to the file before this returns. Raises no disk errors."""
+        while self._is_dividing and self.failure is None:  # messages of a part that is not open yet
+            time.sleep(_IDLE)
+        self._save()
+
+    def _save(self):
+        with self._disk:
+            with self._lock:  # chunks of the next part have no file yet
+                items = [] if self._is_dividing else [*self._queue, self._chunk]
+            for chunk in items:
+                if isinstance(chunk, Chunk):
+                    self._attempt(lambda chunk=chunk: self._mcap.save(chunk))
 
     def _wait_for_queue(self, stamp_ns):
         with self._lock:
@@ -205,11 +217,12 @@ class Recorder:
             self._queue.append(self._chunk)
             self._chunk = Chunk()
 
-    def _in_order(self, action):
+    def _in_order(self, action, is_dividing=False):
         """Run a function in the recorder's thread, after all messages so far are written."""
         with self._lock:
             self._close_chunk()
             self._queue.append(action)
+            self._is_dividing |= is_dividing
 
     def add_attachment(self, name, media_type, data):
         """Add an attachment, usually at the end of a part or of the run."""
@@ -233,7 +246,7 @@ class Recorder:
 
         attachments : {name: (media_type, bytes)} of the new file
         """
-        self._is_dividing, self._part_since = True, stamp_ns
+        self._part_since = stamp_ns
         self.part += 1
         path = self.part_path(self.part)
 
@@ -242,11 +255,11 @@ class Recorder:
             self._file.close()
             self._open(path, attachments)
             self.path = path
-            for channel in self._registered:  # the others are still in the queue
+            for channel in self._channels:
                 self._add_to_file(channel)
             self._is_dividing = False
 
-        self._in_order(open_next)
+        self._in_order(open_next, is_dividing=True)
 
     def close(self):
         """Write all queued messages and finish the file. Further calls do nothing.
@@ -269,10 +282,6 @@ class Recorder:
         for name, entries in self._metadata.items():
             self._mcap.add_metadata(name, entries)
 
-    def _register(self, channel):
-        self._registered.append(channel)
-        self._add_to_file(channel)
-
     def _add_to_file(self, channel):
         """Define a channel in the file; the order, and so its id, is the same in every part."""
         info = channel.info
@@ -289,47 +298,36 @@ class Recorder:
         )
 
     def _run(self):
-        while True:
-            closing = self._closing.is_set()  # checked first, so all messages are written below
-            if closing:
-                with self._lock:
+        while not self._closed:
+            if self._closing.is_set():
+                with self._disk, self._lock:
                     self._close_chunk()
+                    self._closed = True
             else:
-                self._flush(time.monotonic())
+                self._flush_if_due()
             self._write_queued()
-            if closing:
-                break
             if not self._queue:
                 self._closing.wait(_IDLE)
         self._attempt(self._finish)
         self._file.close()
-        self._closed = True
 
-    def _flush(self, now):
-        """End the chunk with the current instant if a flush is due.
-
-        `write` ends it at the next stamp. If none arrives within _INSTANT, it ends here.
-        """
+    def _flush_if_due(self):
+        now = time.monotonic()
         if now >= self._flush_at:
-            self._flush_at, self._flush_by = now + self._flush_interval, now + _INSTANT
-            self._attempt(self._file.check)
-            if self._chunk.count:
-                self._flushing = self._chunk
-                self._flushing.limit = 0
-        if self._flushing is not None and now >= self._flush_by:
-            with self._lock:
-                if self._chunk is self._flushing:
-                    self._close_chunk()
-            self._flushing = None
+            self._flush_at = now + self._flush_interval
+            with self._disk:
+                self._attempt(self._file.check)
+            self._save()
 
     def _write_queued(self):
         for _ in range(len(self._queue)):
-            item = self._queue.popleft()
-            if not isinstance(item, Chunk):
-                self._attempt(item)
-                continue
-            self._attempt(lambda item=item: self._write_chunk(item))
-            self._bytes_out += item.size
+            with self._disk:
+                item = self._queue.popleft()
+                if not isinstance(item, Chunk):
+                    self._attempt(item)
+                    continue
+                self._attempt(lambda item=item: self._write_chunk(item))
+                self._bytes_out += item.size
 
     def _write_chunk(self, chunk):
         self._mcap.write_chunk(chunk)
@@ -357,7 +355,7 @@ class Recorder:
     def _fail(self, error):
         """End the recording. Whatever the error is, the simulation continues."""
         with self._lock:
-            # A chunk is readable even if its index did not reach the file.
+            # Other messages of the last chunk may be there, too.
             self.is_lost = isinstance(error, FileLostError)
             here = 0 if self.is_lost else sum(self._mcap.counts.values())
             self.written = self._earlier + here

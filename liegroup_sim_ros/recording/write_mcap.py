@@ -35,12 +35,13 @@ from mcap.records import Chunk as ChunkRecord
 from mcap.writer import MCAP0_MAGIC
 
 from .errors import FileLostError
+from .mcap_records import RECORD
 
 _MESSAGE = struct.Struct("<BQHIQQ")  # opcode, size, channel, sequence, log and publish time
 _MESSAGE_FIELDS = _MESSAGE.size - 9  # without opcode and size
 _INDEX = struct.Struct("<BQHI")  # opcode, size, channel, size of the array
 _FOOTER_START = struct.Struct("<BQQQ")  # the part of a footer that its checksum covers
-
+_SKIPPED = 0x80  # opcode of a record that readers skip
 
 CHUNK_SIZE = 128 * 1024  # bytes before compression
 LARGEST_CHUNK = 2**20  # bytes; beyond them a chunk ends within an instant
@@ -53,17 +54,22 @@ class Chunk:
     monotonically. Only an instant with more than LARGEST_CHUNK bytes is divided.
 
     size, count : bytes before compression, and messages
-    limit       : size from which on the chunk ends with the current instant
     index       : {channel id: array of stamp, offset of each message}
+    saved       : bytes of the file's tail that this chunk takes the place of
     """
 
     def __init__(self):
         self.parts, self.size, self.count, self.index = [], 0, 0, {}
-        self.limit, self._last_ns = CHUNK_SIZE, -1
+        self.saved, self._saved, self._last_ns = 0, 0, -1
+
+    def unsaved(self):
+        """Bytes of the messages since the last call."""
+        first, self._saved = self._saved, len(self.parts)  # another thread may add to them now
+        return b"".join(self.parts[first : self._saved])
 
     def ends_before(self, stamp_ns):
         """Whether a message with this stamp belongs in the next chunk; if not, it must be added."""
-        return self.size > self.limit and self.may_end_before(stamp_ns)
+        return self.size > CHUNK_SIZE and self.may_end_before(stamp_ns)
 
     def may_end_before(self, stamp_ns):
         """Whether no message has this stamp or a later one; if not, the message must be added."""
@@ -91,30 +97,51 @@ class Chunk:
             self._last_ns = stamp_ns
 
 
-def _appending(path, flags):
-    return os.open(path, flags | os.O_APPEND, 0o666)
-
-
 class UnbufferedFile:
-    """A new file without a buffer: data from a completed `write` survives the process."""
+    """A new file without a buffer: data from a completed `write` or `append` survives the process.
+
+    Behind what is written stands a tail, whose place later writes take: messages whose chunk is not finished.
+    Between any two calls of the system, the file is a valid beginning of an MCAP file.
+    """
 
     def __init__(self, path):
-        # In append mode, a file that others truncate stays shorter than the bytes written: `check` sees it.
-        self._raw = open(path, "xb", buffering=0, opener=_appending)
-        self._path, self._size = os.path.abspath(path), 0
+        self._raw = open(path, "xb", buffering=0)
+        self._path, self._end, self._size, self._tail = os.path.abspath(path), 0, 0, bytearray()
         self.close = self._raw.close
 
-    def write(self, data):
-        """Write all bytes, or raise OSError."""
+    def write(self, data, replaced=0):
+        """Write all bytes in front of the tail, in place of its first `replaced` bytes, or raise OSError."""
+        before = self._size
+        del self._tail[:replaced]
+        new = data + self._tail
+        unused = before - self._end - len(new)
+        # A reader skips the rest of the old tail in this record, if the process ends before the next lines.
+        self._put(new + (RECORD.pack(_SKIPPED, max(0, unused - RECORD.size)) if unused > 0 else b""), self._end)
+        if unused > 0:
+            os.ftruncate(self._raw.fileno(), self._end + len(new))
+        self._end += len(data)
+        self._size = self._end + len(self._tail)
+
+    def append(self, data):
+        """Write all bytes behind the tail, of which they become a part, or raise OSError."""
+        self._put(data, self._size)
+        self._tail += data
+        self._size += len(data)
+
+    def _put(self, data, at):
+        self._check_size()
         rest = memoryview(data)
-        while rest:  # the system may accept a part of them and refuse the rest
-            taken = self._raw.write(rest)
-            self._size += taken
-            rest = rest[taken:]
+        try:
+            while rest:  # the system may accept a part of them and refuse the rest
+                taken = os.pwrite(self._raw.fileno(), rest, at)
+                at, rest = at + taken, rest[taken:]
+        except OSError:
+            self._end = at  # what it has accepted; nothing more is written
+            raise
 
     def tell(self):
-        """Bytes written so far."""
-        return self._size
+        """Bytes written so far, without the tail."""
+        return self._end
 
     def check(self):
         """Raise FileLostError unless the file at the path is this one and has all written bytes."""
@@ -127,21 +154,31 @@ class UnbufferedFile:
         mine = os.fstat(self._raw.fileno())
         if (there.st_dev, there.st_ino) != (mine.st_dev, mine.st_ino):
             raise FileLostError("the file was replaced by another one")
-        if mine.st_size < self._size:
-            raise FileLostError(f"the file was truncated to {mine.st_size} bytes")
+        self._check_size()
+
+    def _check_size(self):
+        size = os.fstat(self._raw.fileno()).st_size
+        if size < self._size:
+            raise FileLostError(f"the file was truncated to {size} bytes")
+
+
+def _bytes_of(record):
+    builder = RecordBuilder()
+    record.write(builder)
+    return builder.end()
 
 
 class McapFile:
     """An MCAP file under construction: zstd chunks, message index, statistics, checksums.
 
-    stream  : object with write(bytes) and tell(); its errors are passed on
+    stream  : object with write(bytes) and tell(), an UnbufferedFile for `save`; its errors are passed on
     library : name and version of the writer
     """
 
     def __init__(self, stream, library, profile="ros2"):
         self._stream = stream
         self._compress = zstandard.ZstdCompressor(level=1).compress
-        self._schemas, self._channels, self._definitions = [], [], bytearray()
+        self._schemas, self._channels, self._definitions, self._saved = [], [], bytearray(), 0
         self._chunks, self._attachments, self._metadata = [], [], []
         self.counts = {}  # channel id -> messages
         self._first_ns = self._last_ns = None
@@ -149,23 +186,19 @@ class McapFile:
         self._put(MCAP0_MAGIC)
         self._write(Header(profile, library))
 
-    def _put(self, data):
+    def _put(self, data, *replaced):
         self._checksum = zlib.crc32(data, self._checksum)
-        self._stream.write(data)
+        self._stream.write(data, *replaced)
 
     def _write(self, record):
         """Write one record; returns its offset and length."""
-        builder = RecordBuilder()
-        record.write(builder)
-        data, offset = builder.end(), self._stream.tell()
+        data, offset = _bytes_of(record), self._stream.tell()
         self._put(data)
         return offset, len(data)
 
     def _define(self, record):
         """Add a definition to the next chunk, so that a checksum covers it."""
-        builder = RecordBuilder()
-        record.write(builder)
-        self._definitions += builder.end()
+        self._definitions += _bytes_of(record)
 
     def add_schema(self, name, encoding, data):
         """Add a schema; returns its id."""
@@ -210,6 +243,14 @@ class McapFile:
         """Smallest and largest stamp in written chunks, ns; zeros without messages."""
         return (0, 0) if self._first_ns is None else (self._first_ns, self._last_ns)
 
+    def save(self, chunk):
+        """Write the messages of a chunk so far to the tail of the stream, after all chunks before."""
+        if data := chunk.unsaved():
+            data = bytes(self._definitions[self._saved :]) + data
+            self._stream.append(data)
+            self._saved = len(self._definitions)
+            chunk.saved += len(data)
+
     def write_chunk(self, chunk):
         """Write a chunk and its index; an empty chunk is omitted."""
         if not chunk.count:
@@ -217,12 +258,13 @@ class McapFile:
         front, index = bytes(self._definitions), chunk.index
         if front:
             self._definitions.clear()
+            self._saved = 0
             for entries in index.values():
                 entries[1::2] = array("Q", [len(front) + offset for offset in entries[1::2]])
         data = front + b"".join(chunk.parts)
         first, last = (edge(edge(entries[::2]) for entries in index.values()) for edge in (min, max))
         compressed = self._compress(data)
-        offset, length = self._write(
+        record = _bytes_of(
             ChunkRecord(
                 compression="zstd",
                 data=compressed,
@@ -232,14 +274,16 @@ class McapFile:
                 uncompressed_size=len(data),
             )
         )
+        offset, length = self._stream.tell(), len(record)
         start, offsets, parts = offset + length, {}, b""
         for channel, entries in index.items():
             offsets[channel] = start + len(parts)
             size = len(entries) * entries.itemsize
             parts += _INDEX.pack(Opcode.MESSAGE_INDEX, 2 + 4 + size, channel, size)
             parts += struct.pack(f"<{len(entries)}Q", *entries)
+        self._put(record + parts, *([chunk.saved] if chunk.saved else []))
+        for channel, entries in index.items():
             self.counts[channel] += len(entries) // 2
-        self._put(parts)
         self._chunks.append(
             ChunkIndex(
                 message_start_time=first,
@@ -259,8 +303,8 @@ class McapFile:
 
     def finish(self):
         """Write the summary and the footer."""
-        self._write(DataEnd(self._checksum))
-        start, (first, last) = self._stream.tell(), self.stamps
+        end, (first, last) = _bytes_of(DataEnd(self._checksum)), self.stamps
+        start = self._stream.tell() + len(end)
         statistics = Statistics(
             attachment_count=len(self._attachments),
             channel_count=len(self._channels),
@@ -292,7 +336,6 @@ class McapFile:
         for group in groups:
             group.write(summary)
         data = summary.end()
-        self._stream.write(data)
         checksum = zlib.crc32(_FOOTER_START.pack(Opcode.FOOTER, 8 + 8 + 4, start, offsets_start), zlib.crc32(data))
-        self._write(Footer(summary_start=start, summary_offset_start=offsets_start, summary_crc=checksum))
-        self._stream.write(MCAP0_MAGIC)
+        footer = Footer(summary_start=start, summary_offset_start=offsets_start, summary_crc=checksum)
+        self._stream.write(end + data + _bytes_of(footer) + MCAP0_MAGIC)

@@ -95,7 +95,7 @@ class _InOrder:
 
     def __init__(self, recorder):
         self._recorder, self.waiting = recorder, None
-        self.add_channel = recorder.add_channel
+        self.add_channel, self.save = recorder.add_channel, recorder.save
 
     def write(self, *message):
         if self.waiting is None:
@@ -276,6 +276,11 @@ class Outputs:
                 recorder.write(*message)
 
         return record
+
+    def save(self):
+        """Bring all that is recorded to the disk."""
+        if self._recorder is not None:
+            self._recorder.save()
 
     def at_step(self, stamp_ns):
         """Call the functions for a step."""

@@ -47,7 +47,7 @@ class SimulationServer(SimulationCommands, threading.Thread):
                  the methods hold, release, at_step, state, inputs, all_inputs, servo_targets, prescribed, event and
                  diagnostics;
                  joint_modes if joints have stops or friction; impact if impulses is not empty; listeners,
-                 publish_clock and publish_again with a lockstep
+                 publish_clock, publish_again and save with a lockstep
     factor     : real-time factor, 0: as fast as possible
     follow_period : s, during which targets of a trajectory are constant
     motion_time   : s, in which a driven joint comes to rest
@@ -390,6 +390,8 @@ class SimulationServer(SimulationCommands, threading.Thread):
                 self._warn_once("saturated", text, joint)
             for joint in sample.slipping:
                 self._warn_once("slip", events.slips(sample.contacts[joint], joint, sample.time), joint)
+        if self.lockstep.rates:
+            self._output.save()  # a state that is answered is not lost, however the process ends
 
     def _send_report(self, report):
         """Send a Report on joints and contacts."""

@@ -3,6 +3,7 @@
 
 import json
 import os
+import random
 import signal
 import threading
 import time
@@ -14,7 +15,9 @@ from mcap.reader import make_reader
 from waiting import PATIENCE, wait_for
 
 from liegroup_sim_ros.messages.codecs import ClockCodec, PoseStampedCodec
+from liegroup_sim_ros.recording import write_mcap
 from liegroup_sim_ros.recording.read import RecordingError, read_recording
+from liegroup_sim_ros.recording.walk import ChunkMessages, Walk
 from liegroup_sim_ros.recording.write import Recorder, RecorderError
 from liegroup_sim_ros.recording.write_mcap import CHUNK_SIZE, LARGEST_CHUNK, Chunk
 
@@ -44,6 +47,50 @@ def test_a_killed_process_has_written_what_is_older_than_the_flush_interval(tmp_
     assert not recording.complete and "not finished" in recording.problem
     assert recording.scene_text == SCENE and recording.pacing is None
     assert recording.lost == {} and recording.pose["top"].stamp_ns.tolist() == list(range(100))
+
+
+def test_what_was_saved_is_in_the_file_between_any_two_calls_of_the_system(tmp_path, monkeypatch):
+    """A copy of the file after each call is what a process leaves that is killed there."""
+    path, written, saved, kinds, left = tmp_path / "run.mcap", [], 0, set(), tmp_path / "left.mcap"
+
+    def followed(call):
+        def copied(*arguments):
+            result = call(*arguments)
+            left.write_bytes(path.read_bytes())
+            there = [(k, data) for k, data in loose_messages(left)]
+            assert there == written[: len(there)] and len(there) >= saved
+            kinds.add(call.__name__)
+            return result
+
+        return copied
+
+    def loose_messages(path):
+        with open(path, "rb") as file:
+            walk = Walk(file, path.stat().st_size)
+            for item in walk:
+                if isinstance(item, ChunkMessages):
+                    yield from ((int(item.log_time[k]), item.payload(k)) for k in range(len(item.log_time)))
+        assert not walk.problems
+
+    for name in ("pwrite", "ftruncate"):
+        monkeypatch.setattr(write_mcap.os, name, followed(getattr(os, name)))
+    made = random.Random(3)
+    with Recorder(path, {"x": ("y", b"1")}, flush_interval=0.01) as recorder:
+        channels = []
+        for stamp in range(150):
+            if stamp in (0, 40):
+                channels.append(recorder.add_channel(f"/{stamp}", PoseStampedCodec.TYPE))
+            for channel in channels:
+                written.append((stamp, made.randbytes(made.choice((0, 1, 7, 8, 9, 10, 3000)))))
+                recorder.write(channel, *written[-1])
+            if made.random() < 0.8:
+                recorder.save()
+                saved = len(written)
+            if made.random() < 0.05:
+                recorder.add_attachment("z", "y", made.randbytes(made.choice((0, 50000))))
+    assert recorder.failure is None and kinds == {"pwrite", "ftruncate"}
+    assert list(loose_messages(path)) == written
+    assert len(chunks_of(path)) > 2
 
 
 def test_a_full_disk_ends_the_recording_but_not_the_run(tmp_path):
