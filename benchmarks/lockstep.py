@@ -125,9 +125,7 @@ class Watcher:
 
     def begin(self, seconds, body):
         """Prepare for a run; what the last one has sent is read first."""
-        end = time.monotonic() + 0.5
-        while time.monotonic() < end:
-            self._executor.spin_once(timeout_sec=0.05)
+        self.until_wall(0.5)
         self.now, self._end = 0, round(seconds * 1e9)
         self._message = WrenchStamped()
         self._message.header.frame_id = body
@@ -146,6 +144,12 @@ class Watcher:
             if time.monotonic() - began > HUNG or sides[0].poll() is not None:
                 raise RuntimeError(f"no {what}: {self.now} {[side.text()[-500:] for side in sides]}")
         return time.monotonic() - began
+
+    def until_wall(self, seconds):
+        """Spin for s of wall time."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self._executor.spin_once(timeout_sec=0.05)
 
     def until_time(self, now, sides):
         """Spin until a simulated time in ns."""
@@ -262,6 +266,7 @@ def faults(args, watcher, folder):
             name = f"{('node', 'controller', 'controller')[who]} {kind}"
             said[name].append(watcher.until(heard, run.sides if who else [run.sides[1]], "event"))
             if kind == "freeze":
+                watcher.until_wall(random.choice((0.0, 3.0)))
                 side.send_signal(signal.SIGCONT)
             elif who:
                 side.__exit__()
