@@ -149,7 +149,8 @@ class Engine:
         arrays = self._work.targets, self._work.motions
         self.inputs = Inputs(self.layout, self._grid, *arrays, self, self._warnings.late)
         self.events = JointEvents(self.layout, self._switching)
-        self._controls, self._sampling = Controls(self._grid), Sampling(self.layout, self._grid)
+        self._controls = Controls(self._grid)
+        self._sampling = Sampling(self.layout, self._grid, self._switching is not None)
         self._start = initial_state(self.layout.centred)
         self._block, self._halted = FIRST_BLOCK, False
         warm_up(self._touch)
@@ -731,7 +732,7 @@ class Engine:
     def _set_clock(self, start, steps=None):
         """Set the time of the next step to an Instant; steps : those before it, if whole steps begin there."""
         clock, time = self._work.clock, start.time
-        if self._sampling:
+        if self._sampling.holds:
             self._work.targets[-1, 0] = self._sampling.last(start)  # modes and methods see other inputs
         clock.count[0], clock.offset[0], clock.now[0] = (0.0, time, time) if steps is None else (steps, 0.0, time)
 

@@ -117,6 +117,7 @@ class Program:
         self.registers, self.code, self.tables = [0.0], [], []
         self._numbers, self._known, self._surfaces, self._others = {}, {}, {}, 0
         self.conditions = set()  # registers that are 0 or 1, or a share
+        self.constants = set()  # registers of numbers and parameters
 
     @contextlib.contextmanager
     def apart(self):
@@ -131,16 +132,21 @@ class Program:
             self._others += count
 
     def new(self, value=0.0):
-        """Register of its own, such as that of an input or a parameter."""
+        """Register of its own, such as that of an input."""
         self.registers.append(value)
         return len(self.registers) - 1
 
     def number(self, value):
-        """Register of a constant."""
+        """Register of a number, which equal ones share."""
         key = math.copysign(1.0, value), value
         if key not in self._numbers:
-            self._numbers[key] = self.new(value)
+            self._numbers[key] = self.constant(value)
         return self._numbers[key]
+
+    def constant(self, value):
+        """Register of its own of a parameter."""
+        self.constants.add(self.new(value))
+        return len(self.registers) - 1
 
     def table(self, x, y):
         """Number of a new table; it also takes a register, so that its number is that of one, too."""

@@ -56,11 +56,15 @@ from . import axis
 from .described import Force
 from .formulas import (
     ABOVE,
+    ADD,
     BELOW,
     COMPARISONS,
+    DIVIDE,
     MORE,
     MORE_EQUAL,
+    MULTIPLY,
     RESERVED,
+    SUBTRACT,
     TABLE,
     TIME,
     UNKNOWN,
@@ -322,7 +326,7 @@ class Law(Force):
             inputs[name] = others[each.quantity] if each.quantity in others else program.new()
         states = {name: program.new(each.start) for name, each in self.states.items()}
         names = {TIME: LAW_TIME} | inputs | states
-        names |= {name: program.new(value) for name, value in self.parameters.items()}
+        names |= {name: program.constant(value) for name, value in self.parameters.items()}
         tables = {name: program.table(each.x, each.y) for name, each in self.tables.items()}
         signals, key = {}, "rate" if self.period is None else "update"
         with nullcontext() if self.period is None else program.apart() as code:
@@ -492,6 +496,7 @@ class _Program(NamedTuple):
     """Formulas of all laws of a scene.
 
     code, shown, kinks : see Laws
+    times   : [s] that are compared with the time, in order
     always  : registers of the results that are computed at any time, see skipping.py
     read    : {register that others in `code` read: conditions of all blocks around those};  inputs : read by `shown`
     owners  : [name] of the law of each kink
@@ -509,6 +514,7 @@ class _Program(NamedTuple):
     owners: list
     compared: list
     surfaces: list
+    times: list
     always: set
     read: dict
     inputs: set
@@ -556,6 +562,7 @@ def _compile_all(described):
             [owners[i] for i, *_ in kinks],
             compared,
             [k for k in compared if owners[kinks[k][0]] in sliding],
+            _times(program, (kinks[k][0] for k in compared)),
             {row[1] for row, i, flag in rows if i >= 0 and flag < 0},
             read,
             read_by_all.keys(),
@@ -564,9 +571,31 @@ def _compile_all(described):
     return _LAST[-1]
 
 
+def _times(program, comparisons):
+    """Times in s of comparisons of t, or a sum with it, with a number, in order; comparisons : places in the code."""
+    numbers, ahead = {k: program.registers[k] for k in program.constants}, {LAW_TIME: 0.0}  # ahead of t
+    operations = {ADD: np.add, SUBTRACT: np.subtract, MULTIPLY: np.multiply, DIVIDE: np.divide}
+    for operation, to, a, b, _ in program.code:
+        if operation in operations and b in numbers:
+            if a in numbers:
+                with np.errstate(all="ignore"):
+                    numbers[to] = float(operations[operation](numbers[a], numbers[b]))
+            elif a in ahead and operation in (ADD, SUBTRACT):
+                ahead[to] = float(operations[operation](ahead[a], numbers[b]))
+        elif operation == ADD and a in numbers and b in ahead:
+            ahead[to] = numbers[a] + ahead[b]
+    pairs = [pair for i in comparisons for pair in (program.code[i][2:4], program.code[i][3:1:-1])]
+    return sorted(filter(math.isfinite, {numbers[b] - ahead[a] for a, b in pairs if a in ahead and b in numbers}))
+
+
 def owners_of_kinks(described):
     """Names of the laws of `Laws.kinks`."""
     return _compile_all(described).owners
+
+
+def times_of_kinks(described):
+    """Times in s that continuous laws compare with the time, in order."""
+    return _compile_all(described).times
 
 
 def target_registers(described):

@@ -15,14 +15,15 @@ At an instant at which outputs of several laws start and laws are evaluated, out
 a state at an instant is one after it: what stands there has passed it.
 """
 
+import bisect
 import math
 from fractions import Fraction
 
 import numpy as np
 
-from .instants import BEFORE, NS, exact_seconds, nearest_whole
+from .instants import AFTER, BEFORE, NS, exact_seconds, nearest_whole
 from .kinds import registers_at
-from .law import sample, sampled_laws, undefined_text
+from .law import sample, sampled_laws, times_of_kinks, undefined_text
 
 
 class _Times:
@@ -61,6 +62,20 @@ class _Times:
         return self._last == now
 
 
+class _Known:
+    """Instants of times in s, in order; methods as _Times."""
+
+    def __init__(self, times, grid):
+        self._instants = [BEFORE, *map(grid.scene_instant, times), AFTER]
+
+    def after(self, now):
+        number = bisect.bisect_right(self._instants, now)
+        self._last = self._instants[number - 1]
+        return self._instants[number]
+
+    has = _Times.has
+
+
 def _undefined(each, values, time):
     """Text on states or outputs of a sampled law that are not finite, or ""."""
     if np.isfinite(values).all():
@@ -76,9 +91,12 @@ def _undefined(each, values, time):
 
 
 class Sampling:
-    """Sampled laws of a Layout on the StepGrid of a run."""
+    """Sampled laws of a Layout on the StepGrid of a run, and the times at which others change by the time alone.
 
-    def __init__(self, layout, grid):
+    are_located : whether the changes of laws are located. Steps end at those that are known, so none is too short
+    """
+
+    def __init__(self, layout, grid, are_located=False):
         self._forces, self._laws = layout.model.forces, sampled_laws(layout.centred.forces, layout.scene.sensors)
         self._grid = grid
         self._samples, self._starts = [], []  # _Times, the latter None without a delay
@@ -87,8 +105,15 @@ class Sampling:
             self._samples.append(_Times(period, Fraction(0), grid))
             self._starts.append(_Times(period, delay % period, grid) if each.delayed else None)
         self._times = [each for each in (*self._samples, *self._starts) if each is not None]
+        if are_located and (known := times_of_kinks(layout.centred.forces)):
+            self._times.append(_Known(known, grid))
 
     def __bool__(self):
+        return bool(self._times)
+
+    @property
+    def holds(self):
+        """Whether there are sampled laws."""
         return bool(self._laws)
 
     def after(self, now):

@@ -65,6 +65,11 @@ def stepped(time, at=0.5537):
     return START + 0.5 * since**2, since
 
 
+def pushed(time, at=567 / 1024, short=2**-20):
+    """(q, v) of the cart after an impulse of 1 N s in a short time from a time on, numbers without rounding."""
+    return START + time - at - 0.5 * short, 1.0
+
+
 TABLE = {"x": [-1, 0, 1], "y": [25, 0, -9]}
 KINKS = {
     "if": ({"effort": "-9*q if q > 0 else -25*q"}, springs),
@@ -80,6 +85,12 @@ KINKS = {
     "time with max": (
         {"effort": "max(t - 0.5537, 0)"},
         lambda t: (START + (t - 0.5537) ** 3 / 6, (t - 0.5537) ** 2 / 2),
+    ),
+    # No stage of a step is within these pulses.
+    "pulse": ({"effort": "2**20 if t > 567/1024 and t < 567/1024 + 2**-20 else 0"}, pushed),
+    "pulse of shifted time": (
+        {"effort": "2**20 if 0 < t - at <= d else 0", "parameters": {"at": 567 / 1024, "d": 2**-20}},
+        pushed,
     ),
     # Beyond its end this branch has no value: a root of a negative number.
     "root": ({"effort": "-9*sqrt(q)*sqrt(q) if q > 0 else -25*q"}, springs),
