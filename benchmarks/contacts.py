@@ -154,24 +154,21 @@ def robot_scene(path, srdf, links, folder):
 
     plain, file_names = scene(), {joint.name for joint in robot.joints}
     stiffness = HOLD * LENGTH * 9.81 * sum(body.mass for body in plain.bodies)
+    damping = DAMPING * stiffness
     at = dict.fromkeys(file_names, 0.0) | robot.poses.get(pose, {})
     moving = [joint.name for joint in plain.joints if joint.name in file_names]
-    forces, inputs, powers = [], [], []
+    inputs, powers = [], []
     for k, name in enumerate(moving):
-        damping = DAMPING * stiffness
-        forces.append(
-            f"  - {{name: hold_{k}, type: servo, joint: {name}, stiffness: {stiffness}, damping: {damping}, "
-            f"position: {at[name]}}}\n"
-        )
         inputs.append(f"q{k}: {name}.position, w{k}: {name}.velocity")
-        damping += sum(f.damping for f in plain.forces if f.type == "torsional_spring_damper" and f.joint == name)
-        powers.append(f"    p{k}: w{k}*({stiffness}*({at[name]} - q{k}) - {damping}*w{k})\n")
+        also = sum(f.damping for f in plain.forces if f.type == "torsional_spring_damper" and f.joint == name)
+        powers.append(f"    p{k}: w{k}*({stiffness}*({at[name]} - q{k}) - {damping + also}*w{k})\n")
     total = " + ".join(f"p{k}" for k in range(len(moving)))
     meter = f"  - name: meter\n    type: law\n    inputs: {{{', '.join(inputs)}}}\n    signals:\n"
     meter += "".join(f"  {each}" for each in powers) + f"    states: {{work: {{rate: {total}, scale: 10}}}}\n"
     root = plain.bodies[0]
     place = (root.position[0], root.position[1], root.position[2] + DROP)
-    return scene(f"start: {{{root.name}: {{position: {list(place)}}}}}\nforces:\n{''.join(forces)}{meter}")
+    hold = f"hold: {{stiffness: {stiffness}, damping: {damping}, joints: [{', '.join(moving)}]}}\n"
+    return scene(f"start: {{{root.name}: {{position: {list(place)}}}}}\n{hold}forces:\n{meter}")
 
 
 def of_robots(share):

@@ -94,7 +94,10 @@ def add_contacts(robot, options, grouping, parts, body_of, taken):
         for group, body in zip((each for each in grouping.groups if each is not grouping.world), parts.bodies):
             group.pose[2, 3] += depth
             body |= frame_keys(group.pose)
-        notes.append(f"starts on the ground: {name} touches it, the origin of the root link is at {depth:.3g} m")
+        root = next(link for link in grouping.of_link if link in robot.roots)
+        group = grouping.of_link[root]
+        height = (group.pose @ group.places[root])[2, 3]
+        notes.append(f"starts on the ground: {name} touches it, the origin of the root link is at {height:.3g} m")
     elif depth > ground.sinks:
         notes.append(
             f"changes the motion: start inside the ground, which throws the robot up: {name} by {depth:.3g} m; give "

@@ -4,6 +4,7 @@
 from liegroup_core.errors import LieGroupSimError, SceneError
 from liegroup_core.joints.kinds import Joint
 from liegroup_core.robots.ground import Ground
+from liegroup_core.robots.hold import Hold
 from liegroup_core.robots.names import scene_name
 from liegroup_core.robots.options import ALL, BASES, Options
 from liegroup_core.robots.starts import Start
@@ -15,7 +16,11 @@ CLOSING = ("spherical", "revolute", "prismatic", "cylindrical", "planar", "fixed
 # Names of the same joints in SDF and MJCF.
 ALSO = {"ball": "spherical", "hinge": "revolute", "slide": "prismatic", "slider": "prismatic"}
 
-WANTED = {"roll": "JOINT=RADIUS, in m", "ground": "KEY=VALUE, such as friction=0.8"}  # of options with numbers
+WANTED = {
+    "roll": "JOINT=RADIUS, in m",
+    "ground": "KEY=VALUE, such as friction=0.8",
+    "hold": "KEY=VALUE",
+}  # of options with numbers
 
 
 class RobotError(LieGroupSimError):
@@ -61,6 +66,13 @@ def add_robot_options(parser):
         metavar="LINK | KEY=VALUE",
         help="the collision shapes of these links (default: all) touch the plane z = 0 of the world; keys: height, "
         "friction, sinks, load, restitution (liegroup_sim keys ground)",
+    )
+    parser.add_argument(
+        "--hold",
+        nargs="+",
+        metavar="JOINT | KEY=VALUE",
+        help="servos hold these joints (default: all that turn and that nothing else leads) at their start, such as "
+        "stiffness=300 damping=10, in N m/rad and N m s/rad, of slides N/m and N s/m",
     )
     for name, what in (
         ("stops", "limits are not stops"),
@@ -109,7 +121,8 @@ def _options(args, name=None):
         driven=dict.fromkeys(args.drive),
         only=args.only,
         roll=_radii(args.roll),
-        ground=_ground(args.ground),
+        ground=_keyed(args.ground, "ground", Ground, "links"),
+        hold=_keyed(args.hold, "hold", Hold, "joints"),
         joints=[_closing(*entry) for entry in args.close],
         name=name,
         xacro=_arguments(args.arguments),
@@ -158,15 +171,18 @@ def _radii(entries):
     return found
 
 
-def _ground(entries):
-    """Ground of names of links and KEY=VALUE texts; None: no ground."""
+def _keyed(entries, option, model, names):
+    """Ground or Hold of names and KEY=VALUE texts; None: none.
+
+    names : key of the names
+    """
     if entries is None:
         return None
-    links, numbers = [each for each in entries if "=" not in each], [each for each in entries if "=" in each]
+    given, numbers = [each for each in entries if "=" not in each], [each for each in entries if "=" in each]
     try:
-        return Ground(**({"links": links} | _values(numbers, "ground")))
+        return model(**({names: given} | _values(numbers, option)))
     except SceneError as error:
-        raise RobotError(f"--ground: {str(error).removeprefix('Ground: ')}") from None
+        raise RobotError(f"--{option}: {str(error).removeprefix(f'{model.__name__}: ')}") from None
 
 
 def _start(name, text):
