@@ -45,9 +45,11 @@ forces:
             {body: tip, force: [-x, 0.1*sin(30*t), i], axes: world}]
 - {name: hold, type: servo, joint: hinge, stiffness: 2, damping: 0.1}
 """
-# The same without the stop, with friction that holds the hinge at times.
+# The same without the stop, with friction that holds the hinge at times, a step and a pulse.
 KINKED = CONTROLLED.replace(",\n   limits: {lower: -0.3, upper: 0.95, restitution: 0.5}", "").replace(
-    "effort: a}", 'effort: "a - 15*(1 if w > 0 else -1) - 4*max(q - 0.4, 0)"}'
+    "effort: a}",
+    'effort: "a - 15*(1 if w > 0 else -1) - 4*max(q - 0.4, 0) + (2 if t - 0.1 > 0.0305 else 0)"'
+    "}, {joint: hinge, effort: 5e5 if 0 < t - 0.07 <= 3e-7 else 0}",
 )
 # Sampled laws with periods that steps do not divide, delays and states, and a continuous one that reads their signals.
 SENSORS = """sensors:
