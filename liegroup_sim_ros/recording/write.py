@@ -5,10 +5,11 @@ The caller's thread packs messages into chunks. The recorder's own thread compre
 whole chunks. The two threads therefore seldom wait for each other. Passing single messages would
 interrupt the simulation a thousand times a second, which costs more than the recording itself.
 
-A chunk ends when it reaches CHUNK_SIZE, between two instants, so chunks do not overlap in time.
-Messages whose chunk has not ended are written behind the chunks every `flush_interval` seconds of wall
-time, and by `save` before it returns; their chunk takes their place. Every write goes straight to the operating
-system. A killed process loses at most that interval (test_recorder.py); the file is readable without its end.
+A chunk ends when it reaches CHUNK_SIZE, and `flush_interval` seconds of wall time after the last
+flush. Every write goes straight to the operating system. A killed process loses at most that
+interval (test_recorder.py), and closed chunks are readable without the end of the file. Chunks
+end between two instants, so they do not overlap in time. `save` writes the messages of the present chunk behind the
+others; the finished chunk takes their place.
 
 log_time = publish_time = the stamp of the message, simulated time in ns. Sequence numbers count
 from 1 in each channel and continue over the parts of a recording. A full disk ends the recording,
@@ -36,6 +37,7 @@ from .write_mcap import Chunk, McapFile, UnbufferedFile
 QUEUE_BYTES = 64 * 2**20  # largest size of the queue; limits it if messages are large
 LIBRARY = f"liegroup_sim_ros/{__version__}"
 _IDLE = 5e-3  # s between two checks of the queue
+_INSTANT = 20e-3  # s of wall time in which all messages of an instant arrive
 
 _log = logging.getLogger(__name__)
 
@@ -101,6 +103,7 @@ class Recorder:
         self._bytes_in = self._bytes_out = 0  # of all chunks queued, and taken from the queue
         self._flush_interval = flush_interval
         self._flush_at = time.monotonic() + flush_interval
+        self._flushing = None  # the chunk that is to end with the current instant
         self._max_size, self._max_duration = max_size, max_duration
         self._part_since = None  # stamp, ns; None: no sample yet
         self._is_dividing = False
@@ -188,12 +191,9 @@ class Recorder:
         """Write all messages so far to the file before this returns. Raises no disk errors."""
         while self._is_dividing and self.failure is None:  # messages of a part that is not open yet
             time.sleep(_IDLE)
-        self._save()
-
-    def _save(self):
         with self._disk:
-            with self._lock:  # chunks of the next part have no file yet
-                items = [] if self._is_dividing else [*self._queue, self._chunk]
+            with self._lock:
+                items = [*self._queue, self._chunk]
             for chunk in items:
                 if isinstance(chunk, Chunk):
                     self._attempt(lambda chunk=chunk: self._mcap.save(chunk))
@@ -217,12 +217,11 @@ class Recorder:
             self._queue.append(self._chunk)
             self._chunk = Chunk()
 
-    def _in_order(self, action, is_dividing=False):
+    def _in_order(self, action):
         """Run a function in the recorder's thread, after all messages so far are written."""
         with self._lock:
             self._close_chunk()
             self._queue.append(action)
-            self._is_dividing |= is_dividing
 
     def add_attachment(self, name, media_type, data):
         """Add an attachment, usually at the end of a part or of the run."""
@@ -246,7 +245,7 @@ class Recorder:
 
         attachments : {name: (media_type, bytes)} of the new file
         """
-        self._part_since = stamp_ns
+        self._is_dividing, self._part_since = True, stamp_ns
         self.part += 1
         path = self.part_path(self.part)
 
@@ -259,7 +258,7 @@ class Recorder:
                 self._add_to_file(channel)
             self._is_dividing = False
 
-        self._in_order(open_next, is_dividing=True)
+        self._in_order(open_next)
 
     def close(self):
         """Write all queued messages and finish the file. Further calls do nothing.
@@ -304,20 +303,30 @@ class Recorder:
                     self._close_chunk()
                     self._closed = True
             else:
-                self._flush_if_due()
+                self._flush(time.monotonic())
             self._write_queued()
             if not self._queue:
                 self._closing.wait(_IDLE)
         self._attempt(self._finish)
         self._file.close()
 
-    def _flush_if_due(self):
-        now = time.monotonic()
+    def _flush(self, now):
+        """End the chunk with the current instant if a flush is due.
+
+        `write` ends it at the next stamp. If none arrives within _INSTANT, it ends here.
+        """
         if now >= self._flush_at:
-            self._flush_at = now + self._flush_interval
+            self._flush_at, self._flush_by = now + self._flush_interval, now + _INSTANT
             with self._disk:
                 self._attempt(self._file.check)
-            self._save()
+            if self._chunk.count:
+                self._flushing = self._chunk
+                self._flushing.limit = 0
+        if self._flushing is not None and now >= self._flush_by:
+            with self._lock:
+                if self._chunk is self._flushing:
+                    self._close_chunk()
+            self._flushing = None
 
     def _write_queued(self):
         for _ in range(len(self._queue)):

@@ -54,13 +54,14 @@ class Chunk:
     monotonically. Only an instant with more than LARGEST_CHUNK bytes is divided.
 
     size, count : bytes before compression, and messages
+    limit       : size from which on the chunk ends with the current instant
     index       : {channel id: array of stamp, offset of each message}
     saved       : bytes of the file's tail that this chunk takes the place of
     """
 
     def __init__(self):
         self.parts, self.size, self.count, self.index = [], 0, 0, {}
-        self.saved, self._saved, self._last_ns = 0, 0, -1
+        self.limit, self.saved, self._saved, self._last_ns = CHUNK_SIZE, 0, 0, -1
 
     def unsaved(self):
         """Bytes of the messages since the last call."""
@@ -69,7 +70,7 @@ class Chunk:
 
     def ends_before(self, stamp_ns):
         """Whether a message with this stamp belongs in the next chunk; if not, it must be added."""
-        return self.size > CHUNK_SIZE and self.may_end_before(stamp_ns)
+        return self.size > self.limit and self.may_end_before(stamp_ns)
 
     def may_end_before(self, stamp_ns):
         """Whether no message has this stamp or a later one; if not, the message must be added."""
