@@ -5,6 +5,7 @@ With the mass m, about the centre and in the axes of the solid:
     box       m/12 (y^2 + z^2, z^2 + x^2, x^2 + y^2)         edges x, y, z
     cylinder  m/12 (3 r^2 + l^2, 3 r^2 + l^2, 6 r^2)         radius r, length l along z
     sphere    2/5 m r^2
+    capsule   a cylinder, and half a sphere of the same density at both ends: 2/5 m r^2 + m l (l/4 + 3 r/8) across
 A rod is a thin cylinder. Tested against integration over the volume (test/core/test_shapes.py).
 """
 
@@ -157,4 +158,25 @@ class Sphere(_Solid):
         return np.full(3, 0.4 * self.radius**2)
 
 
-SHAPES = (Box, Cylinder, Rod, Sphere)
+class Capsule(_Round):
+    """Solid cylinder along its z axis with half a sphere at both ends."""
+
+    type: Literal["capsule"] = Field("capsule", description="capsule")
+    radius: Positive = Field(description="radius in m, greater than 0")
+    length: Positive = Field(description="length along z in m without the half spheres, greater than 0")
+
+    @property
+    def volume(self):
+        """Volume in m^3."""
+        return math.pi * self.radius**2 * (self.length + 4.0 / 3.0 * self.radius)
+
+    @property
+    def moments(self):
+        """(3,) principal moments of the unit mass in m^2, axes of the solid."""
+        radius, length = self.radius, self.length
+        part = length / (length + 4.0 / 3.0 * radius)  # of the cylinder
+        ends = 0.4 * radius**2 + length * np.array([length / 4.0 + 0.375 * radius] * 2 + [0.0])
+        return part * super().moments + (1.0 - part) * ends
+
+
+SHAPES = (Box, Capsule, Cylinder, Rod, Sphere)

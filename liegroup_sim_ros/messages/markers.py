@@ -34,7 +34,7 @@ CONTACT_COLOR, PLANE_COLOR = (0.1, 0.6, 0.2, 1.0), (0.6, 0.6, 0.6, 0.4)
 JOINT_SIZE, SHAFT, HEAD, GROUND = 0.08, 0.03, 0.06, 20.0
 THINNEST = 0.01  # smallest edge of a marker; RViz does not draw size 0
 ENDS = ("parent_point", "child_point")
-TYPES = {"box": CUBE, "cylinder": CYLINDER, "rod": CYLINDER, "sphere": SPHERE}
+TYPES = {"box": CUBE, "capsule": CYLINDER, "cylinder": CYLINDER, "rod": CYLINDER, "sphere": SPHERE}
 
 
 class Markers:
@@ -219,5 +219,6 @@ def solid(body, scene):
         size = shape.size
     else:
         across = 2.0 * shape.radius
-        size = (across, across, across if shape.type == "sphere" else shape.length)
+        long = getattr(shape, "length", 0.0) + (across if shape.type in ("sphere", "capsule") else 0.0)
+        size = (across, across, long)
     return TYPES[shape.type], tuple(size), local

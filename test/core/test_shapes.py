@@ -10,7 +10,7 @@ from liegroup_core.errors import SceneError
 from liegroup_core.layout import make_layout
 from liegroup_core.lie.groups import SO3
 from liegroup_core.scene import Body, Scene, scene_from_text
-from liegroup_core.scene.shapes import SHAPES, Box, Cylinder, Rod, Sphere
+from liegroup_core.scene.shapes import SHAPES, Box, Capsule, Cylinder, Rod, Sphere
 
 # Eight Gauss points a direction integrate polynomials of degree 15 exactly: all that occur here,
 # in the coordinates in which each solid is a product of intervals.
@@ -41,6 +41,12 @@ def volume_points(shape):
         (r, z, turn), weight = grid(interval(0, shape.radius), interval(-1, 1), around())
         across = np.sqrt(1 - z**2)
         return r * np.array([across * np.cos(turn), across * np.sin(turn), z]), weight * r**2
+    if shape.type == "capsule":
+        tube, within = volume_points(Cylinder(radius=shape.radius, length=shape.length, mass=1))
+        (r, z, turn), weight = grid(interval(0, shape.radius), interval(0, 1), around())
+        across = np.sqrt(1 - z**2)
+        end = r * np.array([across * np.cos(turn), across * np.sin(turn), z]) + [[0], [0], [shape.length / 2]]
+        return np.hstack([tube, end, -end]), np.concatenate([within, weight * r**2, weight * r**2])
     (r, z, turn), weight = grid(interval(0, shape.radius), interval(-shape.length / 2, shape.length / 2), around())
     return np.array([r * np.cos(turn), r * np.sin(turn), z]), weight * r
 
@@ -48,6 +54,8 @@ def volume_points(shape):
 SOLIDS = [
     Box(size=(0.3, 0.5, 0.2), density=700.0),
     Box(size=(0.3, 0.5, 0.2), mass=2.0, position=(0.1, -0.2, 0.4), rotation_vector=(0.3, 1, -0.4)),
+    Capsule(radius=0.2, length=0.7, density=1200.0, axis=(1, 2, -0.5)),
+    Capsule(radius=0.2, length=0.1, mass=3.0, position=(0.1, 0, -0.3)),
     Cylinder(radius=0.2, length=0.7, density=1200.0, axis=(1, 2, -0.5)),
     Cylinder(radius=0.5, length=0.1, mass=3.0, quaternion=(0.5, 0.5, 0.5, 0.5)),
     Rod(length=0.8, mass=0.4, axis=(1, 0, 0), position=(0.4, 0, 0)),
