@@ -36,6 +36,7 @@ from liegroup_core.forces.law import branch_matters, branch_of, distances_in, is
 from liegroup_core.mechanism.arrays import COORDINATE, NODES, RESTS, SIDE, SLIP
 
 NONE = -1.0  # in Work.crossed: the guard is not crossed
+CALM, CROSSED, AGAIN = 0, 1, 2  # results of `crossed`
 START, END = 0, 1  # rows of Work.course of the first stage and of the end
 APART = 0.125  # fraction of a step; a stage that is closer to a chosen one is omitted
 LATEST = 0.9  # fraction of a substep with an event, that is repeated up to there at most
@@ -254,8 +255,12 @@ def first_place(model, work):
 
 @kernel
 def crossed(model, work, h, weights):
-    """Whether a guard is crossed in the step of size h that ends at the stage; writes where to work.crossed."""
-    found = False
+    """Whether a guard is crossed in the step of size h that ends at the stage; writes where to work.crossed.
+
+    AGAIN: the step is to be taken again. A branch whose end is crossed without effect at the end of the step is OPEN
+    from now on: what it does in between, and where branches behind it change, are seen with the branches of all stages.
+    """
+    found, again = False, False
     for k in range(len(model.switches)):
         switch, guards, places = model.switches[k], work.guards, work.crossed
         for c in range(5):
@@ -301,7 +306,6 @@ def crossed(model, work, h, weights):
         for c in range(5):
             places[row, c] = NONE
         if work.branches[k] == OPEN:
-            _close_branch(work, weights, k, row)
             continue
         for c in range(LEAST, MOST + 1):
             # After an event a guard starts at zero, up to the error of the method.
@@ -312,14 +316,18 @@ def crossed(model, work, h, weights):
             if not way < 0.0:
                 place, way = _gives_way(weights, work.course, row, c, start)
             if place != NONE and not _matters(model, work, k, c, way, h):
-                if place == 1.0:  # it changes without an event
-                    laws = model.space.forces.laws
+                if place == 1.0:
+                    again, laws = True, model.space.forces.laws
                     if is_shared(laws, work.branches[k], k):
                         work.branches[k] = next_branch(laws, work.branches[k], k, c == MOST)
                     else:
-                        work.branches[k] = branch_of(laws, work.registers, k)
-                    work.changed[0] = 1.0
+                        work.branches[k] = OPEN
                 place = NONE
             places[row, c] = place
             found = found or place != NONE
-    return found
+    if again:
+        return AGAIN
+    for k in range(len(work.branches)):
+        if work.branches[k] == OPEN:
+            _close_branch(work, weights, k, len(model.switches) + k)
+    return CROSSED if found else CALM

@@ -52,9 +52,7 @@ from .law import Law, LawInput, LawOutput, LawState
 MOST_POINTS = 64  # of a hull
 STANDING = 1e-9  # a cylinder that leans less stands: its four points of a rim do not turn to the lowest one
 ROUND = ("sphere", "capsule")
-# Of a radius r; at least the depth under the load, see `_nearest_to_box`. Points of a capsule of length L are beyond an
-# edge by SHORT r^2 / L at most, which changes their distance by 5e-7 r^3 / L^2.
-SHORT = 1e-3
+SHORT = 1e-3  # of a radius; at least the depth under the load, see `_touch_each_other`
 WORK = "work"  # state of the law of a contact: what it did on the bodies, J. Its scale is that of `load` along 1 m
 
 
@@ -347,6 +345,7 @@ class _Formulas:
         self._name, self._numbers, self._load = name, numbers, load
         self._inputs, self._signals, self._states, self._outputs = {}, {}, {}, []
         self.normals, self.arms, self._depths, self._powers, self._near = [], [], [], [], ""
+        self._follows, self.is_geometry = set(), False
 
     @property
     def law(self):
@@ -364,7 +363,7 @@ class _Formulas:
             signals=self._signals | shown,
             outputs=tuple(self._outputs),
         )
-        law._jumps = False
+        law._jumps, law._follows = False, self._follows
         return law
 
     def let(self, text):
@@ -373,6 +372,8 @@ class _Formulas:
             return text
         name = f"_{len(self._signals)}"
         self._signals[name] = text
+        if self.is_geometry:
+            self._follows.add(name)
         return name
 
     def _read(self, body, part, point):
@@ -514,28 +515,38 @@ def _touch_with_rim(found, body, shape, end, axes, height):
             found.act(body, end, force, to_point)
 
 
-def _nearest(found, bodies, shapes):
-    """Nearest points of two segments of capsules; that of a sphere is its centre. World axes."""
+def _nearest(found, bodies, shapes, barrel):
+    """[(point of the axis of one body, of the other body, `more`)] for `_touch_at`, see `_touch_each_other`."""
     first, second = ([found.place(body, end) for end in _skeleton(shape)] for body, shape in zip(bodies, shapes))
     if len(first) == len(second) == 1:
-        return first[0], second[0]
+        return [(first[0], second[0], 0.0)]
     along = [_difference(ends[-1], ends[0]) for ends in (first, second)]
     along = [[found.let(each) for each in vector] for vector in along]
     apart = [found.let(each) for each in _difference(first[0], second[0])]
     a, b, e = (found.let(_dot(x, y)) for x, y in ((along[0], along[0]), (along[0], along[1]), (along[1], along[1])))
     c, f = (found.let(_dot(vector, apart)) for vector in along)
     if len(second) == 1:
-        s, t = _clip(f"(-{c}/{a})", 0.0, 1.0), 0.0
+        pairs = [(_clip(f"(-{c}/{a})", 0.0, 1.0), 0.0, 0.0)]
     elif len(first) == 1:
-        s, t = 0.0, _clip(f"({f}/{e})", 0.0, 1.0)
-    else:  # Ericson, Real-Time Collision Detection, 5.1.9; parallel ones touch at one point
-        s = _clip(f"(({b}*{f} - {c}*{e})/max({a}*{e} - {b}*{b}, 1e-12*{a}*{e}))", 0.0, 1.0)
-        t = found.let(_clip(f"(({b}*{found.let(s)} + {f})/{e})", 0.0, 1.0))
-        s = _clip(f"(({b}*{t} - {c})/{a})", 0.0, 1.0)
-    return tuple(
-        [found.let(each) for each in _sum(ends[0], _scaled(found.let(part), vector))]
-        for ends, part, vector in zip((first, second), (s, t), along)
-    )
+        pairs = [(0.0, _clip(f"({f}/{e})", 0.0, 1.0), 0.0)]
+    else:  # Ericson, Real-Time Collision Detection, 5.1.9, of a sum of squares that has one minimum: also if parallel
+        pairs, a = [], found.let(_plus(a, barrel))
+        for end in (0.0, 1.0):
+            shifted = found.let(_minus(c, barrel * end))
+            s = _clip(f"(({b}*{f} - {shifted}*{e})/({a}*{e} - {b}*{b}))", 0.0, 1.0)
+            t = found.let(_clip(f"(({b}*{found.let(s)} + {f})/{e})", 0.0, 1.0))
+            s = found.let(_clip(f"(({b}*{t} - {shifted})/{a})", 0.0, 1.0))
+            pairs.append((s, t, f"({barrel!r}*({s} - {end})**2)"))
+    return [
+        (
+            *(
+                [found.let(each) for each in _sum(ends[0], _scaled(found.let(part), vector))]
+                for ends, part, vector in zip((first, second), parts, along)
+            ),
+            more,
+        )
+        for *parts, more in pairs
+    ]
 
 
 def _skeleton(shape):
@@ -557,17 +568,15 @@ def _in_box(found, bodies, shapes):
     return axes, ends, middle
 
 
-def _nearest_to_box(found, bodies, shapes, short):
-    """[(point of the axis of a sphere or a capsule, nearest point of the box)], world axes.
+def _nearest_to_box(found, bodies, shapes, barrel):
+    """[(point of the axis of a sphere or a capsule, nearest point of the box, `more`, `inside`)] for `_touch_at`.
 
-    A capsule has two. With the squared distance f of a point of its axis at the fraction s from the box they have
-    f'(s) = -+ 2 radius short: where the distance changes by less than the length `short` along the part of the axis
-    that is nearest, as that of a capsule which lies on a face, they are the ends of this part, else both at the least
-    distance. f' increases, and is linear between the places where the axis crosses the planes of the faces.
+    The derivative of the sum in `_touch_each_other` is linear between the places where the axis crosses the planes of
+    the faces.
     """
     axes, ends, middle = _in_box(found, bodies, shapes)
     halves = [0.5 * size for size in shapes[1].size]
-    points = [ends[0]]
+    points = [(ends[0], 0.0)]
     if len(ends) == 2:
         along = [found.let(each) for each in _difference(ends[1], ends[0])]
 
@@ -586,44 +595,66 @@ def _nearest_to_box(found, bodies, shapes, short):
                 crossing = f"(({face!r} - {begin})/{rate} if abs({rate}) > {least!r} else 0)"
                 breaks.append(found.let(_clip(crossing, 0.0, 1.0)))
         slopes, points = [slope(s) for s in breaks], []
-        for bound in (-shapes[0].radius * short, shapes[0].radius * short):
-            before = [found.let(f"{each} < {bound!r}") for each in slopes]
+        for end in (0.0, 1.0):
+            own = [found.let(_plus(g, f"({barrel!r}*({s} - {end}))")) for g, s in zip(slopes, breaks)]
+            before = [found.let(f"{each} < 0") for each in own]
             s, g = (
                 (
                     found.let(f"max({', '.join(f'{x} if {c} else {v[0]}' for x, c in zip(v, before))})"),
                     found.let(f"min({', '.join(f'{v[1]} if {c} else {x}' for x, c in zip(v, before))})"),
                 )
-                for v in (breaks, slopes)
+                for v in (breaks, own)
             )
-            part = f"{s[0]} + ({s[1]} - {s[0]})*({bound!r} - {g[0]})/max({g[1]} - {g[0]}, {least**2!r})"
-            points.append(at(found.let(_clip(f"({part})", 0.0, 1.0))))
+            s = found.let(f"{s[0]} - ({s[1]} - {s[0]})*{g[0]}/({g[1]} - {g[0]} + {1e-12 * barrel!r})")
+            points.append((at(s), f"({barrel!r}*({s} - {end})**2)"))
     pairs = []
-    for point in points:
-        inside = [found.let(_clip(each, -half, half)) for each, half in zip(point, halves)]
-        both = (_sum(middle, *map(_scaled, each, axes)) for each in (point, inside))
-        pairs.append(tuple([found.let(each) for each in place] for place in both))
+    for point, more in points:
+        beyond = [found.let(f"abs({each}) - {half!r}") for each, half in zip(point, halves)]
+        most = found.let(f"max({', '.join(beyond)})")
+        inside, nearest = found.let(f"{most} < 0"), []
+        for each, half, own in zip(point, halves, beyond):
+            face = f"({half!r} if {each} > 0 else {-half!r})"
+            nearest.append(found.let(f"{face} if {inside} and {own} >= {most} else {_clip(each, -half, half)}"))
+        both = (_sum(middle, *map(_scaled, each, axes)) for each in (point, nearest))
+        pairs.append((*([found.let(each) for each in place] for place in both), more, inside))
     return pairs
 
 
 def _touch_each_other(found, bodies, shapes, short):
-    """Contact of two bodies; short : m, see `_nearest_to_box`."""
-    if shapes[0].type == "box":
+    """Contact of two bodies; a capsule has two points.
+
+    Its points are those of its axis, at fractions s, where the squared distance f(s) + h (s - e)^2 is least, for both
+    ends e: those of an axis along the other body are its ends, of others the nearest point. A sum of f, which is
+    convex, and a parabola has one minimum, which moves with the bodies without jumps. The force is the gradient of the
+    minimum, so that nothing but damping and friction takes energy. It has no kinks, so none of the nearest points is an
+    event. With h = 4 short times the sum of the radii a
+    capsule rolls from one end to both while an end rises by 2 short, and points at its middle are deeper by short / 2.
+    """
+    if shapes[0].type == "box" or shapes[0].type == shapes[1].type == "capsule" and shapes[0].length > shapes[1].length:
         bodies, shapes = bodies[::-1], shapes[::-1]
-    if shapes[1].type == "box":
-        pairs = _nearest_to_box(found, bodies, shapes, short)
-    else:
-        pairs = [_nearest(found, bodies, shapes)]
-    for mine, theirs in pairs:
-        _touch_at(found, bodies, shapes, mine, theirs)
+    nearest = _nearest_to_box if shapes[1].type == "box" else _nearest
+    barrel = 4.0 * short * sum(getattr(shape, "radius", 0.0) for shape in shapes)
+    found.is_geometry = True
+    points = nearest(found, bodies, shapes, barrel)
+    found.is_geometry = False
+    for point in points:
+        _touch_at(found, bodies, shapes, *point)
     return found
 
 
-def _touch_at(found, bodies, shapes, mine, theirs):
-    """Contact of two bodies at the nearest points of their axes or of the box, world axes."""
+def _touch_at(found, bodies, shapes, mine, theirs, more, inside="0"):
+    """Contact of two bodies at points of their axes or of the box, world axes.
+
+    more : m^2, of the squared distance;  inside : whether the first point is in the box, so that it is negative
+    """
     radii = [getattr(shape, "radius", 0.0) for shape in shapes]
     apart = [found.let(each) for each in _difference(mine, theirs)]
-    length = found.let(f"sqrt({_dot(apart, apart)})")
-    normal = [found.let(f"{each}/{length}") for each in apart]
+    if inside == "0":
+        length = reach = found.let(f"sqrt({_plus(_dot(apart, apart), more)})")
+    else:
+        reach = found.let(f"(-1 if {inside} else 1)*sqrt({_dot(apart, apart)} + (0 if {inside} else {more}))")
+        length = found.let(f"{reach} + (sqrt({more}) if {inside} else 0)")
+    normal = [found.let(f"{each}/{reach}") for each in apart]
     depth = found.let(_minus(sum(radii), length))
     # In the middle of the region that both would occupy.
     middle = _sum(mine, _scaled(found.let(_minus(_times(0.5, depth), radii[0])), normal))

@@ -118,6 +118,7 @@ class Program:
         self._numbers, self._known, self._surfaces, self._others = {}, {}, {}, 0
         self.conditions = set()  # registers that are 0 or 1, or a share
         self.constants = set()  # registers of numbers and parameters
+        self.followed = set()  # numbers of instructions whose branches are always those of their arguments
 
     @contextlib.contextmanager
     def apart(self):

@@ -275,6 +275,7 @@ class Law(Force):
     )
 
     _jumps: bool = PrivateAttr(True)
+    _follows: set = PrivateAttr(set())  # signals whose branches are always those of their arguments
 
     @model_validator(mode="after")
     def _check(self):
@@ -331,7 +332,10 @@ class Law(Force):
         signals, key = {}, "rate" if self.period is None else "update"
         with nullcontext() if self.period is None else program.apart() as code:
             for name, text in self.signals.items():
+                first = len(program.code)
                 signals[name] = names[name] = _compiled(program, text, names, tables, ("signals", name))
+                if name in self._follows:
+                    program.followed.update(range(first, len(program.code)))
             outputs = [
                 [_compiled(program, text, names, tables, ("outputs", k, key)) for key, text in each.formulas]
                 for k, each in enumerate(self.outputs)
@@ -539,7 +543,7 @@ def _compile_all(described):
         signals |= {f"{law.name}.{name}": register for name, register in found[-1].shown.items()}
         if law.period is None:
             needed += [*chain(*found[-1].outputs), *found[-1].rates]
-    kinks = program.branched(needed)
+    kinks = program.branched(needed) - program.followed
     zero = program.number(0.0)
     # Comparisons of one surface share its branch, so none is in a block that others skip; the first one is its kink.
     alike = Counter(program.code[i][4] for i in kinks)

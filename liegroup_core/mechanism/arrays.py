@@ -284,7 +284,6 @@ class RelativeWork(Struct):
     share_matrix: np.ndarray = shaped("surfaces", "surfaces")
     share_pivots: np.ndarray
     kept_branches: np.ndarray = shaped("surfaces")  # while those of a state in a substep are computed
-    changed: np.ndarray = shaped(1)  # 1 if one of them changed at the end of the substep, without an event
     least: np.ndarray = shaped(1)  # a smaller effect of a change, relative to all forces and to states, is no event
     guards: np.ndarray = shaped("guards", 5)  # distance of each switch, then of each branch, to its next events
     course: np.ndarray = shaped(NODES, "guards", 2)  # the last two guards at some stages: see events/crossings.py

@@ -7,7 +7,7 @@ Only the functions that Python calls are compiled with the mechanics; explicit.s
 import math
 
 from liegroup_core.compiling import borrowed, kernel, stepper
-from liegroup_core.events.crossings import first_place
+from liegroup_core.events.crossings import AGAIN, CALM, CROSSED, first_place
 from liegroup_core.mechanism.arrays import BEGIN
 from liegroup_core.mechanism.bodies import LARGEST_TURN, ROUND_OFF, STEP_TURN, copy_state
 from liegroup_core.status import EVENT, OK, TOO_MANY_SUBSTEPS
@@ -35,7 +35,7 @@ from .ahead import (
     time_of,
 )
 from .error_control import DIVIDED, judge, unlike
-from .steps import begin, check_end, close, count_turns, enter, has_event, leave, place, rest, store_slopes, watches
+from .steps import begin, check_end, close, count_turns, enter, find_event, leave, place, rest, store_slopes, watches
 
 MOST_EQUAL = 2.0  # substeps up to a known change that are equal
 
@@ -82,8 +82,15 @@ def _accept_controlled(model, work, scheme, control, pose, twist, external):
     if control.coarse[0] > 0.0:
         _coarsen(control.coarse[0], work.stage_pose, work.stage_twist)
     accept(model, work, pose, twist, external)
-    changed, work.changed[0] = work.changed[0] != 0.0, 0.0
-    return 0 if model.projects or control.coarse[0] > 0.0 or changed or is_timed(model, work) else 1
+    return 0 if model.projects or control.coarse[0] > 0.0 or is_timed(model, work) else 1
+
+
+@kernel
+def _take_again(control, size):
+    """Let the next substep have the size of the last one; returns 0: its first stage is computed again."""
+    control.accepted[0] -= 1.0
+    control.size[0] = size
+    return 0
 
 
 @kernel
@@ -114,7 +121,7 @@ def advance(model, work, scheme, h, steps, pose_in, twist_in, external_in):
     while done < steps and status == OK:
         start = (work.clock.count[0] + done) * h + work.clock.offset[0]
         status = attempt(model, work, scheme, h, start, 0.0, 0, pose, twist, external)
-        if status == OK and watching and has_event(model, work, scheme, 0.0, h):
+        if status == OK and watching and find_event(model, work, scheme, 0.0, h) != CALM:
             status = EVENT
         if status == OK and model.projects:
             status = close(model, work, False)
@@ -157,7 +164,11 @@ def advance_controlled(model, work, scheme, h, steps, pose_in, twist_in, externa
                 status = TOO_MANY_SUBSTEPS
             if status != OK or not accepted:
                 continue
-            if watching and has_event(model, work, scheme, h - remaining, size):
+            seen = find_event(model, work, scheme, h - remaining, size) if watching else CALM
+            if seen == AGAIN:
+                first = _take_again(control, size)
+                continue
+            if seen == CROSSED:
                 status = EVENT
             if status == OK and model.projects:
                 status = close(model, work, True)
@@ -287,7 +298,12 @@ def _go_ahead(model, work, scheme, steps, pose, twist, external, control):
             status = TOO_MANY_SUBSTEPS
         if status != OK or not accepted:
             continue
-        if watching and has_event(model, work, scheme, 0.0, size):
+        seen = find_event(model, work, scheme, 0.0, size) if watching else CALM
+        if seen == AGAIN:
+            first = _take_again(control, size)
+            control.fresh[0] = 0.0
+            continue
+        if seen == CROSSED:
             if shorten(work, control, size, first_place(model, work)):
                 control.accepted[0] -= 1.0
                 continue

@@ -6,12 +6,13 @@ One call for a whole run: between two calls for steps Python takes ten times as 
 
 from liegroup_core.compiling import borrowed, kernel, stepper
 from liegroup_core.dynamics.switches import write_modes
+from liegroup_core.events.crossings import CALM
 from liegroup_core.mechanism.bodies import copy_state
 from liegroup_core.status import EVENT, OK
 
 from .advance import accept, attempt
 from .ahead import keep_turns, set_turns
-from .steps import close, enter, has_event, leave, watches
+from .steps import close, enter, find_event, leave, watches
 
 
 @kernel
@@ -82,7 +83,7 @@ def passage(
         size = (times[k + 1] - times[k]) / counts[k]
         for step in range(counts[k]):
             status = attempt(model, work, scheme, size, times[k] + step * size, 0.0, 0, pose, twist, external)
-            if status == OK and watching and has_event(model, work, scheme, 0.0, size):
+            if status == OK and watching and find_event(model, work, scheme, 0.0, size) != CALM:
                 status = EVENT
             if status == OK and model.projects:
                 status = close(model, work, False)

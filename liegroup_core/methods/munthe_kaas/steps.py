@@ -20,7 +20,7 @@ from liegroup_core.dynamics.state import enter as enter
 from liegroup_core.dynamics.state import leave as leave
 from liegroup_core.dynamics.state import place as place
 from liegroup_core.dynamics.switches import count_coordinates, set_rates, too_fast
-from liegroup_core.events.crossings import begin_at_end, crossed, note_guards
+from liegroup_core.events.crossings import CALM, CROSSED, begin_at_end, crossed, note_guards
 from liegroup_core.lie.vec3 import dot3, load3, load_column, store3, store_column
 from liegroup_core.mechanism.arrays import BEGIN, SPAN, WATCHED
 from liegroup_core.mechanism.bodies import STEP_TURN
@@ -185,10 +185,11 @@ def note_stage(model, work, scheme, stage):
 
 
 @kernel
-def has_event(model, work, scheme, start, h):
-    """Whether stops or friction change in the substep of size h that begins at time `start` of the step."""
-    if not crossed(model, work, h, scheme.weights):
+def find_event(model, work, scheme, start, h):
+    """CROSSED if an event is in the substep of size h that begins at time `start` of the step, AGAIN, or CALM."""
+    seen = crossed(model, work, h, scheme.weights)
+    if seen == CALM:
         begin_at_end(work)
-        return False
-    work.watch[BEGIN], work.watch[SPAN] = start, h
-    return True
+    elif seen == CROSSED:
+        work.watch[BEGIN], work.watch[SPAN] = start, h
+    return seen
