@@ -11,6 +11,7 @@ from convergence import fitted_order
 from numpy.testing import assert_allclose
 
 from liegroup_core import SceneError, Simulation
+from liegroup_core.forces.contact import SHORT
 from liegroup_core.lie.groups import SO3
 from liegroup_core.linear import linearise, sensitivities
 from liegroup_core.reports import explain
@@ -293,20 +294,65 @@ def test_depths_are_those_of_the_nearest_points(kinds, seed):
             local[3 - len(size) :] = 0.5 * np.array(size) * where
         return places[side] + turns[side] @ (np.array(offset) + shape.rotation @ local)
 
-    counts = [SKELETONS[kind][0] for kind in kinds]
+    counts, radii = [SKELETONS[kind][0] for kind in kinds], sum(0.3 for kind in kinds if kind != "box")
+    # Of two axes, or an axis and a box, h (s - e)^2 is added for both ends of the (first) axis.
+    side = kinds.index("capsule") if "capsule" in kinds and "sphere" not in kinds else None
+    barrel = 4.0 * SHORT * 0.3 * radii
 
-    def distance(x):
-        return np.sum((point(0, x[: counts[0]]) - point(1, x[counts[0] :])) ** 2)
+    def square(x, end):
+        parts = x[: counts[0]], x[counts[0] :]
+        more = 0.0 if side is None else barrel * (0.5 * (parts[side][0] + 1.0) - end) ** 2
+        return np.sum((point(0, parts[0]) - point(1, parts[1])) ** 2) + more
 
-    best = distance(np.zeros(0)) if sum(counts) == 0 else np.inf
+    best = square(np.zeros(0), 0) if sum(counts) == 0 else np.inf
     if sum(counts):
         options = {"ftol": 1e-16, "gtol": 1e-12}
-        for start in product((-0.5, 0.5), repeat=sum(counts)):
+        for *start, end in product((-0.5, 0.5), repeat=sum(counts) + 1):
             bounds = [(-1.0, 1.0)] * sum(counts)
-            best = min(best, scipy.optimize.minimize(distance, start, bounds=bounds, options=options).fun)
-    radii = sum(0.3 for kind in kinds if kind != "box")
+            found = scipy.optimize.minimize(square, start, (end + 0.5,), bounds=bounds, options=options)
+            best = min(best, found.fun)
     shown = Simulation(made, "rkmk4", 1e-3, quiet=True).sample().signals
     assert shown["c.depth"] == pytest.approx(radii - math.sqrt(best), abs=1e-6)
+
+
+@pytest.mark.parametrize("turn, more", [((0.0, 0.0), 1e4), ((0.0, 1e-3), 1e4), ((0.0, 1e-3), 1e6), ((0.3, 0.2), 1e6)])
+@pytest.mark.parametrize(
+    "other", ["box, size: [0.4, 0.8, 0.8]", "capsule, radius: 0.2, length: 0.3, axis: [0, 1, 0.1]"]
+)
+def test_capsules_that_meet_broadside_keep_their_energy(other, turn, more):
+    """Their nearest points may be anywhere on the axis for a moment; without damping, 0.5 J remain."""
+    bodies = [
+        "{name: a, shape: {type: capsule, radius: 0.1, length: 0.4, mass: 1, axis: [0, 1, 0]}, "
+        f"linear_velocity: [1, 0, 0], rotation_vector: [0, {turn[0]}, {turn[1]}]}}",
+        f"{{name: b, shape: {{type: {other}, mass: 2}}, position: [0.7, 0.1, 0.1]}}",
+    ]
+    hit = f"name: hit, body: a, other: b, stiffness: {more}, damping: 0"
+    simulation = Simulation(scene(bodies, [hit], gravity=0.0), accuracy=1e-6, quiet=True)
+    simulation.advance_to(0.8)
+    sample = simulation.sample()
+    assert sample.twist[0, 3] < 0.9 and not sample.contact_points  # it has hit, and left
+    assert simulation.largest_error <= 1e-6
+    # Speeds are 1 m/s, of masses and moments below 2 kg: J by errors of an accuracy of 1e-6 for each of 12 rates.
+    assert sample.energy == pytest.approx(0.5, abs=12 * 1e-6)
+
+
+@pytest.mark.parametrize("speed", [1.0, 30.0])
+def test_a_ball_that_dives_into_a_box_is_pushed_out(speed):
+    """Its centre is behind the face for a time: the spring acts on, x = v/w sin w t, and the speed is reversed."""
+    rate = speed / 0.15
+    bodies = [
+        f"{{name: ball, shape: {{type: sphere, radius: 0.1, mass: 1}}, linear_velocity: [{speed}, 0, 0]}}",
+        "{name: box, mass: 1, inertia: [1, 1, 1], position: [0.8, 0, 0]}",
+    ]
+    box = "shape: {type: sphere, radius: 0.1}, other_shape: {type: box, size: [1, 1, 1]}"
+    hit = f"name: hit, body: ball, other: box, {box}, stiffness: {rate**2}, damping: 0"
+    held = "joints:\n  - {name: fix, type: fixed, parent: world, child: box, parent_frame: {}}\n"
+    simulation = Simulation(scene(bodies, [hit], gravity=0.0, more=held), accuracy=1e-8, quiet=True)
+    touch, end = 0.2 / speed, 0.2 / speed + math.pi / rate
+    simulation.advance_to(0.5 * (touch + end))
+    assert simulation.sample().pose[0, 9] == pytest.approx(0.35, abs=1e-7)
+    simulation.advance_to(end + 0.1 / speed)
+    assert simulation.sample().twist[0, 3] == pytest.approx(-speed, rel=1e-7)
 
 
 @pytest.mark.parametrize("aside", [0.0, 0.04])
