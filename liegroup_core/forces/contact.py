@@ -5,14 +5,15 @@ Each point of contact has a depth d, with the normal force of Hunt and Crossley
 
     N = k d (1 + c d') ,   0 where it is not positive
 
-and friction by a bristle z, which the slip speed v of the point bends by the length s at most (Dupont and others,
-Single State Elastoplastic Friction Models, IEEE TAC 47, 2002, in two dimensions and with a polynomial):
+and friction by a bristle z, which the slip speed v of the point bends (Dupont and others, Single State Elastoplastic
+Friction Models, IEEE TAC 47, 2002, in two dimensions and with a polynomial):
 
-    F = -mu N w / max(1, |w|) ,   w = z + tau z' ,   s z' = v - z h ,   h = max(2 |z|^2 - 1, 0) max(z . v, 0)
+    F = -mu N w / max(1, |w|) ,   w = z + tau z' ,   s z' = v - z h ,   h = max(|z|^2 - 1, 0) max(z . v, 0)
 
-F stays in the cone, and |z| below 1. Up to half of its square the bristle is elastic; nothing creeps at rest. The
-damping tau is critical for a mass that presses by its own weight: 2 sqrt(s / (mu g)).
-It is written as formulas of a law (law.py), so touching, leaving and slipping are events of the methods with error
+F stays in the cone. The bristle is elastic up to the cone, after the length s; nothing creeps at rest. It slips beyond,
+where |z| goes to 1.27, the root of the golden ratio: round-off does not take it back to the cone. The damping tau is
+critical for a mass that presses by its own weight: 2 sqrt(s / (mu g)).
+It is written as formulas of a law (law.py), so touching, leaving, slip and stick are events of the methods with error
 control, and derivatives, snapshots, estimates and the reference integration are those of laws. A bristle keeps its
 place while nothing touches; that is at most the length s of slip.
 
@@ -213,10 +214,10 @@ class Contact(Force):
 
     @property
     def points(self):
-        """[(number of an output on the body, its normal force, arm (3,) of its force)]: signals or numbers."""
+        """[(number of an output on the body, normal force, what yields, arm (3,) of its force)]: signals or numbers."""
         found = self._formulas
         own = [(k, arm) for k, (body, arm) in enumerate(found.arms) if body == self.body]
-        return [(k, normal, arm) for (k, arm), normal in zip(own, found.normals)]
+        return [(k, *names, arm) for (k, arm), *names in zip(own, found.normals, found.yields)]
 
     @cached_property
     def _formulas(self):
@@ -341,12 +342,13 @@ class _Formulas:
     """Formulas of the law of a contact.
 
     normals : [name] of the normal force of each point;  arms : [(body, arm (3,))] of each output
+    yields  : [name] of what is positive where a point that presses slips, "" without friction
     """
 
     def __init__(self, name, numbers, load):
         self._name, self._numbers, self._load = name, numbers, load
         self._inputs, self._signals, self._states, self._outputs = {}, {}, {}, []
-        self.normals, self.arms, self._depths, self._powers, self._near = [], [], [], [], ""
+        self.normals, self.yields, self.arms, self._depths, self._powers, self._near = [], [], [], [], [], ""
 
     @property
     def law(self):
@@ -406,6 +408,7 @@ class _Formulas:
         self._pushes = pushes = f"{self._near}{depth} > 0 and damping*{leaving} < 1"
         force = self.let(f"stiffness*{depth}*(1 - damping*{leaving}) if {pushes} else 0")
         self.normals.append(force)
+        self.yields.append("")
         normal, tangents = axes
         self._powers.append(self._if_pushing(_times(force, leaving)))
         if "friction" not in self._numbers:
@@ -417,7 +420,9 @@ class _Formulas:
         if tangents is None:  # what the normal has turned away no longer counts
             along = self.let(_dot(normal, bristle))
             bent = [self.let(each) for each in _difference(bristle, _scaled(along, normal))]
-        yields = self.let(f"max(2*{_dot(bent, bent)} - 1, 0)*max({_dot(bent, slips)}, 0)")
+        beyond, along = self.let(f"{_dot(bent, bent)} - 1"), self.let(_dot(bent, slips))
+        yields = self.let(f"{beyond}*{along} if {beyond} > 0 and {along} > 0 else 0")
+        self.yields[-1] = yields
         rates = [self.let(f"({speed} - {each}*{yields})/slip") for speed, each in zip(slips, bent)]
         for name, rate in zip(bristle, rates):
             self._states[name] = _state(f"{rate} if {pushes} else 0")
