@@ -8,11 +8,13 @@ Each point of contact has a depth d, with the normal force of Hunt and Crossley
 and friction by a bristle z, which the slip speed v of the point bends (Dupont and others, Single State Elastoplastic
 Friction Models, IEEE TAC 47, 2002, in two dimensions):
 
-    F = -mu N w / max(1, |w|) ,   w = z + tau z' ,   s z' = v - z h ,   h = 2 max(z . v, 0) max(|z|^2 - 1, 0) / |z|^4
+    F = -mu N w / max(1, |w|) ,   w = z + tau v / s ,   s z' = v - z h
+    h = 2 max(z . v, 0) max(|z|^2 - 1, 0) / (|z|^4 + 1)
 
 F stays in the cone. The bristle is elastic up to the cone, after the length s; nothing creeps at rest. It slips beyond,
-where |z| goes to sqrt(2): round-off does not take it back to the cone. Its rates are 1.4 v / s at most, which explicit
-steps have to resolve. The damping tau is critical for a mass that presses by its own weight: 2 sqrt(s / (mu g)).
+where |z|^2 goes to 1 + sqrt(2): round-off does not take it back to the cone. Fixed steps need not resolve it while it slips:
+|z'| is bounded, and w has the direction of v if steps are below tau. This damping is critical for a mass that presses
+by its own weight: tau = 2 sqrt(s / (mu g)).
 It is written as formulas of a law (law.py), so touching, leaving, slip and stick are events of the methods with error
 control, and derivatives, snapshots, estimates and the reference integration are those of laws. A bristle keeps its
 place while nothing touches; that is at most the length s of slip.
@@ -421,12 +423,12 @@ class _Formulas:
             along = self.let(_dot(normal, bristle))
             bent = [self.let(each) for each in _difference(bristle, _scaled(along, normal))]
         square, along = self.let(_dot(bent, bent)), self.let(_dot(bent, slips))
-        yields = self.let(f"2*{along}*({square} - 1)/{square}**2 if {square} > 1 and {along} > 0 else 0")
+        yields = self.let(f"2*{along}*({square} - 1)/({square}**2 + 1) if {square} > 1 and {along} > 0 else 0")
         self.yields[-1] = yields
         rates = [self.let(f"({speed} - {each}*{yields})/slip") for speed, each in zip(slips, bent)]
         for name, rate in zip(bristle, rates):
             self._states[name] = _state(f"{rate} if {pushes} else 0")
-        bent = [self.let(f"{each} + settles*{rate}") for each, rate in zip(bent, rates)]
+        bent = [self.let(f"{each} + settles/slip*{speed}") for each, speed in zip(bent, slips)]
         drag = self.let(f"-friction*{force}/sqrt(max({_dot(bent, bent)}, 1))")
         self._powers.append(self._if_pushing(_times(drag, _dot(bent, slips))))
         across = bent if tangents is None else _sum(*(_scaled(b, axis) for b, axis in zip(bent, tangents)))

@@ -146,7 +146,7 @@ def test_a_brick_on_a_slope_beyond_the_cone_slides_with_its_acceleration():
     assert shown == pytest.approx(3 * G * math.cos(angle), rel=1e-6)
 
 
-REST = math.sqrt(2.0)  # the bristle of a point that slides: 2 (b^2 - 1) / b^2 = 1
+REST = math.sqrt(1.0 + math.sqrt(2.0))  # the bristle of a point that slides: 2 b^2 (b^2 - 1) = b^4 + 1
 BLOCK = "{name: block, mass: 2, inertia: [1, 1, 1], position: [0, 0, -1e-4], linear_velocity: [1, 0, 0]}"
 
 
@@ -162,8 +162,9 @@ def way_of_block(friction, speed, slip, times):
 
     def rates(yields, limit):
         def of(_, y):
-            z_rate = (y[1] - (2.0 * y[1] * (1.0 - y[2] ** -2) if yields else 0.0)) / slip
-            return [y[1], -force * (1.0 if limit else y[2] + settles * z_rate), z_rate]
+            bent = y[2] ** 2
+            z_rate = y[1] * (1.0 - (2.0 * bent * (bent - 1.0) / (bent**2 + 1.0) if yields else 0.0)) / slip
+            return [y[1], -force * (1.0 if limit else y[2] + settles * y[1] / slip), z_rate]
 
         return of
 
