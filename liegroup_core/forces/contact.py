@@ -12,9 +12,9 @@ Friction Models, IEEE TAC 47, 2002, in two dimensions):
     h = 2 max(z . v, 0) max(|z|^2 - 1, 0) / (|z|^4 + 1)
 
 F stays in the cone. The bristle is elastic up to the cone, after the length s; nothing creeps at rest. It slips beyond,
-where |z|^2 goes to 1 + sqrt(2): round-off does not take it back to the cone. Fixed steps need not resolve it while it slips:
-|z'| is bounded, and w has the direction of v if steps are below tau. This damping is critical for a mass that presses
-by its own weight: tau = 2 sqrt(s / (mu g)).
+where |z|^2 goes to 1 + sqrt(2): round-off does not take it back to the cone. Fixed steps need not resolve it while it
+slips: |z'| is bounded, and w has the direction of v if steps are below tau. This damping is critical for a mass that
+presses by its own weight: tau = 2 sqrt(s / (mu g)).
 It is written as formulas of a law (law.py), so touching, leaving, slip and stick are events of the methods with error
 control, and derivatives, snapshots, estimates and the reference integration are those of laws. A bristle keeps its
 place while nothing touches; that is at most the length s of slip.
@@ -251,8 +251,9 @@ def stiff_note(bodies, forces, step):
     mass, found = {body.name: body.mass for body in bodies}, []
     for force in forces:
         if force.type == "contact":
-            least = min(mass[name] for name in force.on_bodies({}))
-            found.append((math.sqrt(least / force.numbers["stiffness"]), force.name))
+            least, numbers = min(mass[name] for name in force.on_bodies({})), force.numbers
+            along = numbers["friction"] * force._given[1] / numbers["slip"] if force.friction else 0.0  # of the bristle
+            found.append((math.sqrt(least / max(numbers["stiffness"], along)), force.name))
     time, name = min(found, default=(math.inf, ""))
     if step <= time:
         return []

@@ -204,6 +204,23 @@ def test_a_sliding_block_stops_and_its_sensitivities_are_those_of_its_law():
     assert_allclose(found.derivatives[-1, 0], [-0.5 / (friction**2 * G), 1.0 / (friction * G)], atol=1e-9)
 
 
+def test_fixed_steps_of_a_hundred_slip_lengths_keep_friction():
+    """They do not locate the stop: within the step of the stop the speed, mu g h at most, is wrong."""
+    friction, slip, step = 0.3, 1e-5, 1e-3
+    simulation = Simulation(block(f"friction: {friction}", slip), "rkmk4", step, quiet=True)
+    simulation.advance(1000)
+    error = abs(simulation.sample().pose[0, 9] - (0.5 / (friction * G) - REST * slip))
+    assert error <= 0.5 * friction * G * step**2
+    assert simulation.sample().errors[0, 0] >= 0.5 * error
+
+
+def test_a_bristle_that_is_too_stiff_for_fixed_steps_is_noted(caplog):
+    """It is mu m g / slip as stiff: with 1e-7 m its time is sqrt(slip / (mu g)) = 0.18 ms."""
+    simulation = Simulation(block("friction: 0.3", 1e-7), "rkmk4", 1e-3)
+    simulation.advance(1)
+    assert "contact floor acts within 0.00018 s" in caplog.text
+
+
 def test_sensitivities_hold_through_bounces_of_a_box():
     """Its corners touch and leave, and slide whenever they press: p_x = m v - mu (m g t + p_z), of all impulses."""
     body = BRICK % (0.0, 0.06, "linear_velocity: [3, 0, 0]")
