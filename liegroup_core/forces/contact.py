@@ -246,15 +246,20 @@ class Contact(Force):
         return found
 
 
-def stiff_note(bodies, forces, step):
-    """Note on the contact that is stiffest for the mass of its bodies, if steps in s are too long for it; a list."""
+def stiffest(bodies, forces):
+    """(s, name) of the contact that acts within the shortest time, sqrt(mass / stiffness); (inf, ""): none."""
     mass, found = {body.name: body.mass for body in bodies}, []
     for force in forces:
         if force.type == "contact":
             least, numbers = min(mass[name] for name in force.on_bodies({})), force.numbers
             along = numbers["friction"] * force._given[1] / numbers["slip"] if force.friction else 0.0  # of the bristle
             found.append((math.sqrt(least / max(numbers["stiffness"], along)), force.name))
-    time, name = min(found, default=(math.inf, ""))
+    return min(found, default=(math.inf, ""))
+
+
+def stiff_note(bodies, forces, step):
+    """Note on the contact that is stiffest for the mass of its bodies, if steps in s are too long for it; a list."""
+    time, name = stiffest(bodies, forces)
     if step <= time:
         return []
     return [
