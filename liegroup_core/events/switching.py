@@ -40,7 +40,7 @@ class JointInstant(NamedTuple):
     time     : s
     modes    : (k, 5) from then on, as Sample.switching
     events   : [JointEvent] of this time; none where a run starts, and of laws
-    branches : (q,) of the kinks of laws, see forces/formulas.py
+    branches : (q,) of the kinks of laws, see forces/formulas.py; UNKNOWN where their block is skipped
     """
 
     time: float
@@ -326,7 +326,8 @@ class Switching(EventTimes):
             self._keep_shares()
         if status == OK and self.instants is not None:
             is_shared_now = (self._laws.compared[: len(work.branches)] == 2) & (work.branches > 1.0)
-            sides = np.where(is_shared_now, SHARED, work.branches)
+            sides, under = np.where(is_shared_now, SHARED, work.branches), self._laws.kinks[:, 1]
+            sides[(under >= 0) & (work.registers[under, 0] == 0.0)] = UNKNOWN  # that of before, which nothing reads
             here = self.present_modes(), self.events[log:], sides
             self.instants.append(JointInstant(time, *here))
         return status

@@ -117,7 +117,12 @@ class EventTimes(ModeChanges):
             if end == later and tau > self.same_time and guard(tau - self.same_time, k, c) > 0.0:
                 crossed[k, c] = True
                 continue
-            at = self._zero(guard, gap, end, TIME_PART * size, k, c)
+            try:
+                at = self._zero(guard, gap, end, TIME_PART * size, k, c)
+            except ValueError:  # a guard is none where a trial failed
+                if not failed:
+                    raise
+                return 0.0, None, failed[0]
             if at < tau - self.same_time:
                 crossed[:] = False
             tau, crossed[k, c] = min(at, tau), True

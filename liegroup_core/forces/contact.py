@@ -5,14 +5,17 @@ Each point of contact has a depth d, with the normal force of Hunt and Crossley
 
     N = k d (1 + c d') ,   0 where it is not positive
 
-and friction by a bristle z, which the slip speed v of the point bends by the length s at most (Dupont and others,
-Single State Elastoplastic Friction Models, IEEE TAC 47, 2002, in two dimensions and with a polynomial):
+and friction by a bristle z, which the slip speed v of the point bends (Dupont and others, Single State Elastoplastic
+Friction Models, IEEE TAC 47, 2002, in two dimensions):
 
-    F = -mu N w / max(1, |w|) ,   w = z + tau z' ,   s z' = v - z h ,   h = max(2 |z|^2 - 1, 0) max(z . v, 0)
+    F = -mu N w / max(1, |w|) ,   w = z + tau v / s ,   s z' = v - z h
+    h = 2 max(z . v, 0) max(|z|^2 - 1, 0) / (|z|^4 + 1)
 
-F stays in the cone, and |z| below 1. Up to half of its square the bristle is elastic; nothing creeps at rest. The
-damping tau is critical for a mass that presses by its own weight: 2 sqrt(s / (mu g)).
-It is written as formulas of a law (law.py), so touching, leaving and slipping are events of the methods with error
+F stays in the cone. The bristle is elastic up to the cone, after the length s; nothing creeps at rest. It slips beyond,
+where |z|^2 goes to 1 + sqrt(2): round-off does not take it back to the cone. Fixed steps need not resolve it while it
+slips: |z'| is bounded, and w has the direction of v if steps are below tau. This damping is critical for a mass that
+presses by its own weight: tau = 2 sqrt(s / (mu g)).
+It is written as formulas of a law (law.py), so touching, leaving, slip and stick are events of the methods with error
 control, and derivatives, snapshots, estimates and the reference integration are those of laws. A bristle keeps its
 place while nothing touches; that is at most the length s of slip.
 
@@ -211,10 +214,10 @@ class Contact(Force):
 
     @property
     def points(self):
-        """[(number of an output on the body, its normal force, arm (3,) of its force)]: signals or numbers."""
+        """[(number of an output on the body, normal force, what yields, arm (3,) of its force)]: signals or numbers."""
         found = self._formulas
         own = [(k, arm) for k, (body, arm) in enumerate(found.arms) if body == self.body]
-        return [(k, normal, arm) for (k, arm), normal in zip(own, found.normals)]
+        return [(k, *names, arm) for (k, arm), *names in zip(own, found.normals, found.yields)]
 
     @cached_property
     def _formulas(self):
@@ -241,14 +244,20 @@ class Contact(Force):
         return found
 
 
-def stiff_note(bodies, forces, step):
-    """Note on the contact that is stiffest for the mass of its bodies, if steps in s are too long for it; a list."""
+def stiffest(bodies, forces):
+    """(s, name) of the contact that acts within the shortest time, sqrt(mass / stiffness); (inf, ""): none."""
     mass, found = {body.name: body.mass for body in bodies}, []
     for force in forces:
         if force.type == "contact":
-            least = min(mass[name] for name in force.on_bodies({}))
-            found.append((math.sqrt(least / force.numbers["stiffness"]), force.name))
-    time, name = min(found, default=(math.inf, ""))
+            least, numbers = min(mass[name] for name in force.on_bodies({})), force.numbers
+            along = numbers["friction"] * force._given[1] / numbers["slip"] if force.friction else 0.0  # of the bristle
+            found.append((math.sqrt(least / max(numbers["stiffness"], along)), force.name))
+    return min(found, default=(math.inf, ""))
+
+
+def stiff_note(bodies, forces, step):
+    """Note on the contact that is stiffest for the mass of its bodies, if steps in s are too long for it; a list."""
+    time, name = stiffest(bodies, forces)
     if step <= time:
         return []
     return [
@@ -339,12 +348,13 @@ class _Formulas:
     """Formulas of the law of a contact.
 
     normals : [name] of the normal force of each point;  arms : [(body, arm (3,))] of each output
+    yields  : [name] of what is positive where a point that presses slips, "" without friction
     """
 
     def __init__(self, name, numbers, load):
         self._name, self._numbers, self._load = name, numbers, load
         self._inputs, self._signals, self._states, self._outputs = {}, {}, {}, []
-        self.normals, self.arms, self._depths, self._powers, self._near = [], [], [], [], ""
+        self.normals, self.yields, self.arms, self._depths, self._powers, self._near = [], [], [], [], [], ""
         self._follows, self.is_geometry = set(), False
 
     @property
@@ -396,17 +406,19 @@ class _Formulas:
         """Let the points that follow matter only where the depth `reach` of a sphere around them is positive."""
         self._near = f"{self.let(reach)} > 0 and "
 
-    def press(self, depth, leaving, slips, axes):
+    def press(self, depth, leaving, slips, axes, part=1.0):
         """Force of a point of contact, world axes.
 
         depth, leaving : m, and the speed in m/s with which it becomes smaller; slips : m/s, along the axes (k, 3)
         axes : the normal, then two tangents; or None in place of these, for the world's axes
+        part : change of the depth by one of the point along the normal
         """
         depth, leaving = self.let(depth), self.let(leaving)
         self._depths.append(depth)
         self._pushes = pushes = f"{self._near}{depth} > 0 and damping*{leaving} < 1"
-        force = self.let(f"stiffness*{depth}*(1 - damping*{leaving}) if {pushes} else 0")
+        force = self.let(f"{_times(f'(stiffness*{depth}*(1 - damping*{leaving}))', part)} if {pushes} else 0")
         self.normals.append(force)
+        self.yields.append("")
         normal, tangents = axes
         self._powers.append(self._if_pushing(_times(force, leaving)))
         if "friction" not in self._numbers:
@@ -418,11 +430,13 @@ class _Formulas:
         if tangents is None:  # what the normal has turned away no longer counts
             along = self.let(_dot(normal, bristle))
             bent = [self.let(each) for each in _difference(bristle, _scaled(along, normal))]
-        yields = self.let(f"max(2*{_dot(bent, bent)} - 1, 0)*max({_dot(bent, slips)}, 0)")
+        square, along = self.let(_dot(bent, bent)), self.let(_dot(bent, slips))
+        yields = self.let(f"2*{along}*({square} - 1)/({square}**2 + 1) if {square} > 1 and {along} > 0 else 0")
+        self.yields[-1] = yields
         rates = [self.let(f"({speed} - {each}*{yields})/slip") for speed, each in zip(slips, bent)]
         for name, rate in zip(bristle, rates):
             self._states[name] = _state(f"{rate} if {pushes} else 0")
-        bent = [self.let(f"{each} + settles*{rate}") for each, rate in zip(bent, rates)]
+        bent = [self.let(f"{each} + settles/slip*{speed}") for each, speed in zip(bent, slips)]
         drag = self.let(f"-friction*{force}/sqrt(max({_dot(bent, bent)}, 1))")
         self._powers.append(self._if_pushing(_times(drag, _dot(bent, slips))))
         across = bent if tangents is None else _sum(*(_scaled(b, axis) for b, axis in zip(bent, tangents)))
@@ -532,11 +546,11 @@ def _nearest(found, bodies, shapes, barrel):
     else:  # Ericson, Real-Time Collision Detection, 5.1.9, of a sum of squares that has one minimum: also if parallel
         pairs, a = [], found.let(_plus(a, barrel))
         for end in (0.0, 1.0):
-            shifted = found.let(_minus(c, barrel * end))
+            shifted = found.let(_plus(c, barrel * (1.0 - 3.0 * end)))
             s = _clip(f"(({b}*{f} - {shifted}*{e})/({a}*{e} - {b}*{b}))", 0.0, 1.0)
             t = found.let(_clip(f"(({b}*{found.let(s)} + {f})/{e})", 0.0, 1.0))
             s = found.let(_clip(f"(({b}*{t} - {shifted})/{a})", 0.0, 1.0))
-            pairs.append((s, t, f"({barrel!r}*({s} - {end})**2)"))
+            pairs.append((s, t, _more(barrel, s, end)))
     return [
         (
             *(
@@ -547,6 +561,12 @@ def _nearest(found, bodies, shapes, barrel):
         )
         for *parts, more in pairs
     ]
+
+
+def _more(barrel, s, end):
+    """What is added to the squared distance of a point of an axis, m^2, see `_touch_each_other`."""
+    away = f"({end} - {s})" if end else s
+    return f"({barrel!r}*{away}*(2 + {away}))"
 
 
 def _skeleton(shape):
@@ -596,7 +616,7 @@ def _nearest_to_box(found, bodies, shapes, barrel):
                 breaks.append(found.let(_clip(crossing, 0.0, 1.0)))
         slopes, points = [slope(s) for s in breaks], []
         for end in (0.0, 1.0):
-            own = [found.let(_plus(g, f"({barrel!r}*({s} - {end}))")) for g, s in zip(slopes, breaks)]
+            own = [found.let(f"{g} + {barrel!r}*({s} + {1.0 - 3.0 * end})") for g, s in zip(slopes, breaks)]
             before = [found.let(f"{each} < 0") for each in own]
             s, g = (
                 (
@@ -606,7 +626,7 @@ def _nearest_to_box(found, bodies, shapes, barrel):
                 for v in (breaks, own)
             )
             s = found.let(f"{s[0]} - ({s[1]} - {s[0]})*{g[0]}/({g[1]} - {g[0]} + {1e-12 * barrel!r})")
-            points.append((at(s), f"({barrel!r}*({s} - {end})**2)"))
+            points.append((at(s), _more(barrel, s, end)))
     pairs = []
     for point, more in points:
         beyond = [found.let(f"abs({each}) - {half!r}") for each, half in zip(point, halves)]
@@ -623,17 +643,17 @@ def _nearest_to_box(found, bodies, shapes, barrel):
 def _touch_each_other(found, bodies, shapes, short):
     """Contact of two bodies; a capsule has two points.
 
-    Its points are those of its axis, at fractions s, where the squared distance f(s) + h (s - e)^2 is least, for both
-    ends e: those of an axis along the other body are its ends, of others the nearest point. A sum of f, which is
-    convex, and a parabola has one minimum, which moves with the bodies without jumps. The force is the gradient of the
-    minimum, so that nothing but damping and friction takes energy. It has no kinks, so none of the nearest points is an
-    event. With h = 4 short times the sum of the radii a
-    capsule rolls from one end to both while an end rises by 2 short, and points at its middle are deeper by short / 2.
+    Its points are those of its axis, at fractions s, where f(s) + b (2 |s - e| + (s - e)^2) is least, with the squared
+    distance f, for both ends e: those of an axis along the other body are its ends, of others the nearest point. This
+    sum is strictly convex, as f is convex, so its minimum moves with the bodies without jumps. The force is the
+    gradient of the minimum, so that nothing but damping and friction takes energy. It has no kinks, so none of the nearest points is an
+    event. With b = 0.8 short times the sum of the radii, points are the ends up
+    to a lean by 0.8 short along the axis, and a point at its middle is deeper by short / 2 than one alone would be.
     """
     if shapes[0].type == "box" or shapes[0].type == shapes[1].type == "capsule" and shapes[0].length > shapes[1].length:
         bodies, shapes = bodies[::-1], shapes[::-1]
     nearest = _nearest_to_box if shapes[1].type == "box" else _nearest
-    barrel = 4.0 * short * sum(getattr(shape, "radius", 0.0) for shape in shapes)
+    barrel = 0.8 * short * sum(getattr(shape, "radius", 0.0) for shape in shapes)
     found.is_geometry = True
     points = nearest(found, bodies, shapes, barrel)
     found.is_geometry = False
@@ -649,11 +669,15 @@ def _touch_at(found, bodies, shapes, mine, theirs, more, inside="0"):
     """
     radii = [getattr(shape, "radius", 0.0) for shape in shapes]
     apart = [found.let(each) for each in _difference(mine, theirs)]
-    if inside == "0":
-        length = reach = found.let(f"sqrt({_plus(_dot(apart, apart), more)})")
-    else:
-        reach = found.let(f"(-1 if {inside} else 1)*sqrt({_dot(apart, apart)} + (0 if {inside} else {more}))")
-        length = found.let(f"{reach} + (sqrt({more}) if {inside} else 0)")
+    length = reach = found.let(f"sqrt({_dot(apart, apart)})")
+    part = 1.0
+    if more:
+        length = found.let(f"sqrt({reach}**2 + {more})")
+        part = found.let(f"{reach}/{length}")
+    if inside != "0":
+        length = found.let(f"({_minus(f'sqrt({more})' if more else 0.0, reach)} if {inside} else {length})")
+        reach = found.let(f"(-{reach} if {inside} else {reach})")
+        part = found.let(f"(1 if {inside} else {part})") if more else 1.0
     normal = [found.let(f"{each}/{reach}") for each in apart]
     depth = found.let(_minus(sum(radii), length))
     # In the middle of the region that both would occupy.
@@ -667,6 +691,6 @@ def _touch_at(found, bodies, shapes, mine, theirs, more, inside="0"):
     speed = [found.let(each) for each in _difference(*speeds)]
     leaving = found.let(_dot(normal, speed))
     slips = _difference(speed, _scaled(leaving, normal))
-    force = [found.let(each) for each in found.press(depth, leaving, slips, (normal, None))]
+    force = [found.let(each) for each in found.press(depth, leaving, slips, (normal, None), part)]
     for body, shape, arm, sign in zip(bodies, shapes, arms, (1.0, -1.0)):
         found.act(body, shape.position, _scaled(sign, force), arm)

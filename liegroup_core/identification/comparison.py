@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Comparison of a log with a scene: what noise, errors of the integration, and the model account for."""
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
@@ -8,6 +9,7 @@ import numpy as np
 import scipy
 
 from liegroup_core.errors import SceneError, SimulationError
+from liegroup_core.forces.contact import stiffest
 from liegroup_core.linear.coordinates import Coordinates
 
 from .contradictions import Effect, Effects, Missing, channel_fits, white
@@ -29,6 +31,7 @@ BY_CHANCE = 3.0 * 2.7
 # all but 1/G of what delays and numbers change: of what is left, the error is 1e-8 G^2, here 1e-2.
 PARTED = 1e3
 LONGEST = 0.01  # s, first longest step; it is halved until the errors are a small part of the noise
+OF_CONTACT = 0.25  # of the time in which a contact acts: four of its points are twice as fast
 PART = 0.1  # of the noise: largest error of the integration
 MOST_HALVES = 8
 RANGE, LAGS = 1.0, 41  # s, delays up to this are tried first; their number
@@ -262,10 +265,26 @@ def _in_turn(fit, point):
 
 
 def tied(fit, found):
-    """Solution whose segments make one run of each recording, from one whose segments are free."""
+    """Solution whose segments make one run of each recording, from one whose segments are free.
+
+    Where motions forget their starts, as in contacts, starts of segments go astray; then one run is near to begin with.
+    """
+    with suppress(SimulationError):
+        one = fit.solve(_as_one(fit, found.point), ROUGHLY, slack=SLACKS[-1])
+        if one.converged and excess(fit, one) <= LINEAR:
+            return one
     for slack in SLACKS:
         found = fit.solve(found.point, ROUGHLY, found, slack)
     return found
+
+
+def _as_one(fit, point):
+    """Unknowns with one segment for each recording, from the first ones of others."""
+    bounds = point.bounds
+    firsts = np.flatnonzero(np.append(True, bounds[1:, 0] != bounds[:-1, 1]))
+    lasts = np.append(firsts[1:], len(bounds)) - 1
+    runs = np.column_stack([bounds[firsts, 0], bounds[lasts, 1]])
+    return replace(point, bounds=runs, states=tuple(point.states[k] for k in firsts))
 
 
 def _divided(spans, length):
@@ -352,7 +371,7 @@ def _longest(workers, scene, log):
 def begin(scene, log, names=(), workers=None, limits=None, priors=None, is_late=True):
     """(Fit, Unknowns to begin with, without segments); arguments as of `fitted`. is_late: whether clocks may be."""
     log = log.usable
-    runs = Runs(scene, log, names, LONGEST)
+    runs = Runs(scene, log, names, min(LONGEST, OF_CONTACT * stiffest(scene.bodies, scene.forces)[0]))
     free = [each.delay is None for each in log.measured]
     fit = Fit(runs, [each.noise for each in log.measured], free, limits, priors, workers)
     length, values = shortest(log), np.clip(runs.numbers.values, *fit.limits.T)

@@ -257,8 +257,8 @@ class Variations:
 
         base = np.array([seen.of(samples[time]) for time, seen in zip(times, outputs)])
 
-        def arrivals(other, beside, way, s):
-            """(k, p) StateChannels of the run that starts s ways beside; NaN between its and our event."""
+        def arrivals(other, beside, way, s, whole=False):
+            """(k, p) StateChannels of the run s ways beside; NaN between its and our event, refused if whole."""
             if beside is not probe:
                 beside.follow(probe)
             rates, *state = beside.beside(s * way)
@@ -272,20 +272,21 @@ class Variations:
                 other.reach(other.instant_of(time))
                 met.append(seen.of(other.sample()))
             events = self._events_at(other, self.time_ns, times)
-            if events[-1] != expected[-1]:
+            if events[-1] != expected[-1] or whole and events != expected:
                 raise SimulationError("neighbouring runs have other events")
             return np.where([[mine == own] for mine, own in zip(events, expected)], met, np.nan)
 
-        def values(c, s):
+        def values(c, s, whole):
             sides = (self._near, probe) if c < self._first else self._sides.at(c - self._first, s)
-            return arrivals(*sides, self.columns[c], s)
+            return arrivals(*sides, self.columns[c], s, whole)
 
         def crossed(c):
-            try:
-                return derivative(lambda s: values(c, s), NEAR / max(self._sizes(self.columns)[c], 1.0), base)
-            except SimulationError:
-                self.rough[c] = True
-                return np.zeros((2, len(times), len(outputs[0])))
+            for whole in (True, False):  # near enough that no time is between two events, if that is possible
+                with contextlib.suppress(SimulationError):
+                    size = NEAR / max(self._sizes(self.columns)[c], 1.0)
+                    return derivative(lambda s, whole=whole: values(c, s, whole), size, base)
+            self.rough[c] = True
+            return np.zeros((2, len(times), len(outputs[0])))
 
         def carried(error, size):
             """(k, p) what an error before the events is after them."""

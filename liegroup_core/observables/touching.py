@@ -8,6 +8,9 @@ from liegroup_core.forces.law import registers_of
 from liegroup_core.forces.skipping import instructions
 from liegroup_core.lie.groups import cross
 
+APART, STICKS, SLIPS = range(3)  # modes of a contact
+NEVER = np.nan  # a branch that no kink has
+
 
 class Touching:
     """Points of the contacts of a Layout.
@@ -26,18 +29,21 @@ class Touching:
             own = [next(rows) for each in force.as_law.outputs if each.servo is None]
             for k, *names in force.points if force.type == "contact" else ():
                 register = lambda each, law=force.name: signals.get((law, each), -1)  # noqa: E731
-                normal, arm = names
+                *conditions, arm = names
                 numbers = [each if register(each) < 0 else 0.0 for each in arm]
-                points.append((force.name, own[k], register(normal), [register(each) for each in arm], numbers))
-        owners, rows, normals, arms, numbers = zip(*points) if points else ((),) * 5
-        self._of = np.array([[owner == name for owner in owners] for name in self.names], dtype=float)
+                conditions = [register(each) for each in conditions]
+                points.append((force.name, own[k], conditions, [register(each) for each in arm], numbers))
+        owners, rows, conditions, arms, numbers = zip(*points) if points else ((),) * 5
+        own = [owner == name for name in self.names for owner in owners]
+        self._of = np.array(own, dtype=float).reshape(len(self.names), len(owners))
         self._bodies = np.array([row["body"] for row in rows], dtype=int)
         self._points = np.array([row["point"] for row in rows], dtype=float).reshape(-1, 3)
         self._registers = np.array([row["registers"] for row in rows], dtype=int).reshape(-1, 6)
-        self._normals, self._arms = np.array(normals, dtype=int), np.array(arms, dtype=int).reshape(-1, 3)
+        self._conditions = np.array(conditions, dtype=int).reshape(-1, 2)
+        self._normals, self._arms = self._conditions[:, 0], np.array(arms, dtype=int).reshape(-1, 3)
         self._numbers = np.array(numbers, dtype=float).reshape(-1, 3)
         self.bodies = self._bodies[self._of.argmax(axis=1)] if self.names else self._bodies
-        # A normal force is `... if near and depth > 0 and damping*leaving < 1 else 0`: the kinks of the comparisons.
+        # Both are `... if near and depth > 0 and damping*leaving < 1 else 0`: the kinks of the comparisons.
         writes = {row[1]: row for row in instructions(laws.code.tolist())}
         kinks = {int(laws.code[i, 4]): k for k, i in enumerate(laws.kinks[:, 0])}
 
@@ -47,23 +53,24 @@ class Touching:
                 return [*all_of(a), *all_of(b)]
             return [(kinks[c], BELOW if operation in (LESS, LESS_EQUAL) else ABOVE)]
 
-        found = [all_of(writes[normal][2]) for normal in normals]
+        found = [all_of(writes[at][2]) if at >= 0 else [(0, NEVER)] for at in self._conditions.ravel().tolist()]
         most = max(map(len, found), default=1)
-        pairs = np.reshape([each + each[:1] * (most - len(each)) for each in found], (-1, most, 2))
+        pairs = np.reshape([each + each[:1] * (most - len(each)) for each in found], (-1, 2, most, 2))
         self._kinks, self._sides = pairs[..., 0].astype(int), pairs[..., 1]
 
-    def presses(self, registers):
-        """(m,) whether each point of a contact presses."""
-        return registers[self._normals, 0] > 0.0
+    def points(self, registers):
+        """(m, 2) whether each point of a contact presses, and whether it would slip then."""
+        return (registers[self._conditions, 0] > 0.0) & (self._conditions >= 0)
 
-    def presses_in(self, branches, before):
+    def points_in(self, branches, before):
         """The same by the branches (q,) of the kinks of laws; before : as it was, where a branch is open."""
         found = branches[self._kinks]
-        return np.where((found == OPEN).any(axis=1), before, (found == self._sides).all(axis=1))
+        return np.where((found == OPEN).any(axis=-1), before, (found == self._sides).all(axis=-1))
 
-    def any_of(self, presses):
-        """(c,) whether some point of each contact presses, by `presses` (m,)."""
-        return self._of @ presses > 0.0
+    def modes(self, points):
+        """(c,) APART; STICKS: a point that presses sticks; SLIPS: all points that press slip.  points : (m, 2)."""
+        presses, slips = points.T
+        return (self._of @ presses > 0.0) * (SLIPS - (self._of @ (presses & ~slips) > 0.0))
 
     def at(self, registers, pose):
         """(c, 9) per contact: centre of pressure, world axes, or NaN; torque and force on the body, as Sample.

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from liegroup_core.observables.touching import APART, SLIPS
 from liegroup_core.scene.switches import unit_of
 from liegroup_sim_ros.numbers import counted
 
@@ -27,7 +28,7 @@ MODE, SLIP, COORDINATE, IMPULSE, ENERGY, EFFORT = range(6)
 FREE, LOWER, UPPER, STICK, BEYOND_LOWER, BEYOND_UPPER = range(6)
 IMPACT = "impact"
 JOINT, CONTACT = "joint", "contact"  # names of events
-TOUCH, LEAVE = "touch", "leave"
+TOUCH, LEAVE, STICK_AGAIN, SLIDE = "touch", "leave", "stick", "slip"
 LINES = 20  # most instants per second of simulated time that have a line each
 
 
@@ -91,7 +92,7 @@ def has_reports(layout):
 
 
 class JointReports:
-    """Reports on joints with stops or friction, and on contacts that touch and leave, during a simulation.
+    """Reports on joints with stops or friction, and on contacts that touch, leave, slip and stick, during a simulation.
 
     At most LINES instants in a second of simulated time have a line. The others are counted; the
     first report after that second sums them up. Call `begin` at the start and after a state was set.
@@ -116,7 +117,7 @@ class JointReports:
         self._clear()
         self._second, self._time = int(simulation.time), simulation.time
         sample = simulation.sample()
-        self._last, self._presses = sample.switching, self._touching.presses(sample.registers)
+        self._last, self._points = sample.switching, self._touching.points(sample.registers)
         return [Report(simulation.time_ns, self._encode(self._last), None)] if self._encode else []
 
     def drain(self):
@@ -153,11 +154,16 @@ class JointReports:
         return [*reports, *([Report(round(time * 1e9), modes, line, name)] if modes or line else [])]
 
     def _touches(self, branches):
-        """[(contact, TOUCH or LEAVE)] of those that begin or end with some branches of laws."""
+        """[(contact, TOUCH, LEAVE, SLIDE or STICK_AGAIN)] of those that change with some branches of laws."""
         touching = self._touching
-        before, self._presses = self._presses, touching.presses_in(branches, self._presses)
-        was, now = touching.any_of(before), touching.any_of(self._presses)
-        return [(touching.names[k], TOUCH if now[k] else LEAVE) for k in np.flatnonzero(was != now)]
+        before, self._points = self._points, touching.points_in(branches, self._points)
+        found = []
+        for name, was, now in zip(touching.names, touching.modes(before), touching.modes(self._points)):
+            if (was == APART) != (now == APART):
+                found.append((name, LEAVE if now == APART else TOUCH))
+            if now != APART and (was == SLIPS) != (now == SLIPS):
+                found.append((name, SLIDE if now == SLIPS else STICK_AGAIN))
+        return found
 
     def _text(self, event):
         if event.kind != IMPACT:

@@ -2,6 +2,7 @@
 """Messages with the modes of joints, and `liegroup_sim run` with joints that have stops or friction."""
 
 import json
+import math
 from pathlib import Path
 
 import jsonschema
@@ -13,10 +14,11 @@ from std_msgs.msg import Float64MultiArray
 
 from liegroup_core import Simulation
 from liegroup_core.layout import make_layout
+from liegroup_core.observables.touching import APART, SLIPS, STICKS
 from liegroup_core.scene.load import scene_from_text
 from liegroup_sim_ros.commands.main import main
 from liegroup_sim_ros.messages.codecs import MessageError
-from liegroup_sim_ros.messages.joint_modes import decode, encoder, switching
+from liegroup_sim_ros.messages.joint_modes import JointReports, decode, encoder, switching
 from liegroup_sim_ros.messages.matrices import encoder as matrix_encoder
 from liegroup_sim_ros.playback.resimulate import resimulate
 from liegroup_sim_ros.recording.read import read_recording
@@ -47,6 +49,47 @@ def test_modes_survive_the_message():
                 message = deserialize_message(bytes(payload), Float64MultiArray)
                 assert np.array_equal(message.data, numbers, equal_nan=True)
                 assert message.layout.dim[1].label == "mode slip coordinate impulse energy effort"
+
+
+def test_contacts_report_slip_and_stick():
+    """A ball that skids: its point slips once it has moved by the slip length, and sticks where it begins to roll.
+
+    The slip speed is v - 7/2 mu g t, as the force is mu m g all the time. Its events have errors of 1e-9 m over 1 m/s.
+    """
+    text = """name: skid
+gravity: [0, 0, -9.81]
+bodies:
+  - {name: ball, shape: {type: sphere, radius: 0.1, mass: 2}, position: [0, 0, 0.0999], linear_velocity: [1, 0, 0]}
+forces:
+  - {name: floor, type: contact, body: ball, sinks: 1.0e-4, restitution: 0.5, friction: 0.4, slip: 1.0e-3}
+"""
+    simulation = Simulation(scene_from_text(text), accuracy=1e-9, quiet=True)
+    reports = JointReports(simulation)
+    assert not reports.begin()
+    simulation.advance_to(1.0)
+    slows = 3.5 * 0.4 * 9.81
+    times = (1.0 - math.sqrt(1.0 - 2.0 * slows * 1e-3)) / slows, 1.0 / slows
+    found = reports.drain()
+    assert [(report.name, report.line.split(" s: ")[1]) for report in found] == [
+        ("contact", "floor slip"),
+        ("contact", "floor stick"),
+    ]
+    assert [1e-9 * report.time_ns for report in found] == pytest.approx(times, abs=2e-9)
+
+
+def test_a_contact_slips_where_all_points_that_press_do():
+    text = """name: feet
+gravity: [0, 0, -9.81]
+bodies: [{name: foot, mass: 1, inertia: [1, 1, 1]}]
+forces:
+  - {name: floor, type: contact, body: foot, stiffness: 1000, damping: 0, friction: 0.5, slip: 1.0e-3,
+     shape: {type: hull, points: [[0, 0, 0], [1, 0, 0]]}}
+"""
+    modes = make_layout(scene_from_text(text)).touching.modes
+    yes, no = True, False
+    cases = {APART: [(no, yes), (no, no)], STICKS: [(yes, yes), (yes, no)], SLIPS: [(yes, yes), (no, no)]}
+    for mode, points in cases.items():
+        assert modes(np.array(points)).tolist() == [mode]
 
 
 def test_another_matrix_is_refused():
