@@ -645,10 +645,10 @@ def _touch_each_other(found, bodies, shapes, short):
 
     Its points are those of its axis, at fractions s, where f(s) + b (2 |s - e| + (s - e)^2) is least, with the squared
     distance f, for both ends e: those of an axis along the other body are its ends, of others the nearest point. This
-    sum is strictly convex, as f is convex, so its minimum moves with the bodies without jumps. The force is the
-    gradient of the minimum, so that nothing but damping and friction takes energy. It has no kinks, so none of the nearest points is an
-    event. With b = 0.8 short times the sum of the radii, points are the ends up
-    to a lean by 0.8 short along the axis, and a point at its middle is deeper by short / 2 than one alone would be.
+    sum is strictly convex, as f is convex, so its minimum moves with the bodies without jumps, and no change of the
+    part of f in which it is has to be an event. The force is the gradient of the minimum, so that nothing but damping
+    and friction takes energy. With b = 0.8 short times the sum of the radii, points are the ends up to a lean by 0.8
+    short along the axis, and a point at its middle is deeper by short / 2 than one alone would be.
     """
     if shapes[0].type == "box" or shapes[0].type == shapes[1].type == "capsule" and shapes[0].length > shapes[1].length:
         bodies, shapes = bodies[::-1], shapes[::-1]
