@@ -74,6 +74,7 @@ def inverse_dynamics(simulation, times, positions, rates, accelerations, joints,
     Accuracy: test/verification/test_linear.py.
     """
     probe = Probe(simulation)
+    refuse_sliding(probe, "inverse dynamics")
     joints_of_motions(probe)
     if not joints:
         raise SceneError("inverse dynamics needs at least one independent joint")

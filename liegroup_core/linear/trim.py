@@ -85,6 +85,7 @@ def trim(simulation, rates=None, held=(), inputs=None, time=None):
     Raises SceneError for unknown names, TrimError if there is no equilibrium near the state.
     """
     probe = Probe(simulation, time)
+    refuse_sliding(probe, "trim")
     return _found(probe, rates or {}, held, inputs or ())
 
 

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from liegroup_core.errors import SimulationError
+from liegroup_core.events.times import SAME_TIME
 from liegroup_core.forces.instants import AFTER
 from liegroup_core.settings import of_engine
 from liegroup_core.simulation import Simulation
@@ -310,10 +311,16 @@ class Variations:
 
     @staticmethod
     def _events_at(run, start_ns, times):
-        """For each time in ns: modes and events after each change of the modes since the start."""
+        """For each time in ns: modes and events after each change of the modes since the start.
+
+        Round-off decides which sides of a surface of a law a run meets before it slides along it: the last ones count.
+        """
+        instants = run.drain_instants()
+        ends = [*(np.nextafter(one.time - SAME_TIME, 0.0) for one in instants[1:]), np.inf]
         found = [
             (1e9 * one.time, one.modes[:, :3].tolist(), one.branches.tolist(), [event[1:3] for event in one.events])
-            for one in run.drain_instants()
+            for one, end in zip(instants, ends)
+            if one.events or one.time < end
         ]
         return [[rest for when, *rest in found if start_ns + 0.5 < when <= time] for time in times]
 
