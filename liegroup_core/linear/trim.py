@@ -19,7 +19,7 @@ from .coordinates import ANGLE, Coordinates
 from .differences import derivative
 from .friction import Resting, Stops, stick
 from .linear_system import LinearSystem, change_of, system_of
-from .probe import Probe
+from .probe import Probe, refuse_sliding
 
 MOST_STEPS = 100
 LARGEST_TURN = 0.3  # rad, or share of the mechanism's size, in a direction of a step
