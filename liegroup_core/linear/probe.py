@@ -29,7 +29,7 @@ from liegroup_core.dynamics.matrix import is_off
 from liegroup_core.dynamics.state import leave
 from liegroup_core.dynamics.switches import MOVES, modes_of, set_modes, set_rates
 from liegroup_core.dynamics.trees import move_links
-from liegroup_core.engine import Engine
+from liegroup_core.engine import METHOD, Engine
 from liegroup_core.errors import SceneError, SimulationError
 from liegroup_core.forces.formulas import OPEN, UNKNOWN
 from liegroup_core.forces.law import laws_of, places_of_branches
@@ -44,7 +44,6 @@ from liegroup_core.status import DEPENDENT_ROWS, NOT_FINITE, OK
 from .differences import derivative
 from .tangents import NOT_REGULAR, NOT_SMOOTH, tangents
 
-BRANCHED = "rkmk54"  # a method whose memory has the branches of laws: no step is taken
 ROUND_OFF = 64.0 * np.finfo(float).eps  # of the largest entry of a tangent
 # Of one stage, whose displacement is its derivative.
 _ONE = Tableau(np.zeros((1, 1)), np.ones(1), np.zeros(1), np.zeros((0, 2)))
@@ -185,6 +184,8 @@ def refuse_sliding(probe, what):
 class _Still(Engine):
     """Engine that takes no step: kernels of steps and samples are not needed."""
 
+    LOCATES = True
+
     def _touch(self):
         self.reset()
 
@@ -204,7 +205,7 @@ class Probe:
     def __init__(self, simulation, time=None, in_space=False):
         self.layout = simulation.layout.in_space if in_space else simulation.layout
         refuse_sampled(simulation.scene.forces)
-        engine = _Still(simulation.scene, BRANCHED, simulation.step, RELATIVE, "none", quiet=True, layout=self.layout)
+        engine = _Still(simulation.scene, METHOD, simulation.step, RELATIVE, "none", quiet=True, layout=self.layout)
         self._engine = engine
         engine.start_from(simulation)
         self._model, self._work = engine._integrator.mechanism

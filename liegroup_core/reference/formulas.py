@@ -205,10 +205,10 @@ def evaluate(code, numbers, first, points, stack, values, sides, heights):
         elif operation == CHOOSE:
             top -= 2
             share = stack[top + 2]
-            if 0.0 < share < 1.0:
-                stack[top] = share * stack[top] + (1.0 - share) * stack[top + 1]
-            elif share == 0.0:
+            if share == 0.0:
                 stack[top] = stack[top + 1]
+            elif share != 1.0:
+                stack[top] = share * stack[top] + (1.0 - share) * stack[top + 1]
         elif operation < 30:
             stack[top] = _unary(operation, stack[top])
         else:
