@@ -72,9 +72,9 @@ def transition(simulation, duration, independent=None):
         raise SimulationError(
             "the run has no state transition: at a stop or in friction, runs to both sides behave differently"
         )
-    last = Coordinates(run.probe, first.rate_names, first.names)
+    last = Coordinates(run.probe, None, (*first.rate_names, *first.names))
     if last.names != first.names or last.rate_names != first.rate_names:
-        raise SimulationError("stops or friction hold other joints at the end of the run than at its start")
+        raise SimulationError("stops, friction or laws hold other joints at the end of the run than at its start")
     # The run ends at a whole ns; its slope leads from there to the given end.
     rest = np.eye(states) + (duration - 1e-9 * round(1e9 * duration)) * run.matrix(last)
     phi, doubt = (
