@@ -188,7 +188,7 @@ def _binary(operation, a, b):
 def evaluate(code, numbers, first, points, stack, values, sides, heights):
     """Execute instructions (p, 2) on values (m,); the points of table k are points[first[k]:first[k + 1]].
 
-    sides   : (c,) shares of a < b of all surfaces; negative: a and b decide
+    sides   : (c,) shares of a < b of all surfaces; infinite: a and b decide
     heights : (c,) a - b, written
     """
     top = -1
@@ -217,5 +217,5 @@ def evaluate(code, numbers, first, points, stack, values, sides, heights):
             stack[top] = _binary(operation, a, b)
             if k >= 0:
                 heights[k] = a - b if argument > 0 else b - a
-                if sides[k] >= 0.0:
+                if sides[k] < np.inf:
                     stack[top] = sides[k] if (argument > 0) == (operation < 40) else 1.0 - sides[k]

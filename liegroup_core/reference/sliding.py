@@ -10,7 +10,7 @@ import numpy as np
 from numpy.polynomial import legendre
 from scipy.optimize import brentq
 
-FREE = -1.0  # side of a comparison that its arguments decide; else the share of a < b
+FREE = np.inf  # side of a comparison that its arguments decide; else the share of a < b
 SAME = 1e-9  # of shares: they are less exact than the motion
 NEAR, SHIFT = 1e-6, 0.1  # differences: of the time, relative to that of the motion, and of shares
 ROUND_OFF = 64.0 * np.finfo(float).eps  # of heights, relative to the largest number of a state
