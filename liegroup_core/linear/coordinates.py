@@ -141,9 +141,11 @@ class Coordinates:
 
     def _climbs(self, directions):
         """(d, s) changes along directions (d, f, 2) of the distances from the surfaces of laws."""
-        probe, count = self._probe, len(self._probe.slides) if self._slides else 0
-        found = [derivative(lambda s, y=y: probe.heights(s * y), ANGLE)[0] for y in directions if count]
-        return np.reshape(found, (len(directions), count))
+        probe = self._probe
+        if not self._slides:
+            return np.zeros((len(directions), 0))
+        with probe.holding():
+            return np.array([derivative(lambda s, y=y: probe.heights(s * y), ANGLE)[0] for y in directions])
 
     @property
     def _rate_ways(self):

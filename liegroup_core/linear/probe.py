@@ -15,6 +15,7 @@ those of the neighbour (dynamics/sliding.py). So they are functions of the state
 the accelerations have their derivatives.
 """
 
+import contextlib
 import dataclasses
 import math
 
@@ -32,7 +33,7 @@ from liegroup_core.dynamics.trees import move_links
 from liegroup_core.engine import METHOD, Engine
 from liegroup_core.errors import SceneError, SimulationError
 from liegroup_core.forces.formulas import OPEN, UNKNOWN
-from liegroup_core.forces.law import laws_of, places_of_branches
+from liegroup_core.forces.law import branch_of, laws_of, places_of_branches
 from liegroup_core.joints.stops import SLIDE, TURN
 from liegroup_core.methods.munthe_kaas import steps
 from liegroup_core.methods.munthe_kaas.explicit import make_scheme
@@ -213,6 +214,7 @@ class Probe:
         self.freedoms = len(self._work.freedoms)
         laws = self._model.space.forces.laws
         self._kept = places_of_branches(laws)
+        self._held = UNKNOWN
         self._sides = laws.code[laws.kinks[laws.surfaces, 0], 2:4]
         self._zeros, self._equations = np.zeros((self.freedoms, 2)), SameTypes(_equations)
         self.take(simulation.sample(time))
@@ -281,10 +283,23 @@ class Probe:
         above, below = self._work.registers[self._sides[self.slides], 0].T
         return above - below
 
-    def _slide(self):
-        """Let neighbours slide along the surfaces of the state, with shares of their own."""
-        laws, kept = self._model.space.forces.laws, self._work.angle[self._kept]
-        self._work.branches[laws.surfaces] = np.where(kept > 1.0, kept, UNKNOWN)
+    @contextlib.contextmanager
+    def holding(self):
+        """Let laws have the branches of the state, whose derivatives differences of its neighbours are."""
+        laws, count = self._model.space.forces.laws, len(self._work.branches)
+        if count:
+            self.slopes()
+        self._held = np.array([branch_of(laws, self._work.registers, k) for k in range(count)])
+        try:
+            yield
+        finally:
+            self._held = UNKNOWN
+
+    def _begin(self, held):
+        """Let a neighbour slide along the surfaces of the state, with shares of its own; held : the other branches."""
+        surfaces, kept = self._model.space.forces.laws.surfaces, self._work.angle[self._kept]
+        self._work.branches[:] = held
+        self._work.branches[surfaces] = np.where(kept > 1.0, kept, self._work.branches[surfaces])
 
     @property
     def has_loads(self):
@@ -403,7 +418,7 @@ class Probe:
         targets = np.zeros((count, *self.acting.targets.shape)) if targets is None else targets
         moves = np.ascontiguousarray(np.swapaxes(directions, 1, 2), dtype=float).reshape(2 * count * f, 1)
         work.targets[:] = self.acting.targets
-        self._slide()
+        self._begin(UNKNOWN)
         status = tangents(
             model,
             work,
@@ -442,8 +457,10 @@ class Probe:
                 )
             return self.slopes(s * directions[d], given)[0]
 
-        for d in np.flatnonzero(uncertain == NOT_SMOOTH):
-            found[d], errors[d] = derivative(lambda s, d=d: slopes(d, s), sizes[d])
+        if (rough := np.flatnonzero(uncertain == NOT_SMOOTH)).size:
+            with self.holding():
+                parts = [derivative(lambda s, d=d: slopes(d, s), sizes[d]) for d in rough]
+            found[rough], errors[rough] = (np.array(part) for part in zip(*parts))
         return found, errors
 
     def closed(self, y=None):
@@ -463,7 +480,7 @@ class Probe:
         self._meet(other)
         out = np.empty(self.freedoms + 2 * len(self._model.row_residual))
         given = other._work.pose, other._work.twist, self.acting.external, self.pose, self.twist, out
-        self._slide()
+        self._begin(other._held)
         self._done(self._equations(self._model, self._work, *given), out)
         return out
 
@@ -476,7 +493,7 @@ class Probe:
         work, acting = self._work, self.acting if acting is None else acting
         work.targets[:] = acting.targets
         y = self._zeros if y is None else np.ascontiguousarray(y, dtype=float)
-        self._slide()
+        self._begin(self._held)
         self._done(kernel(self._model, work, self._scheme, y, self.pose, self.twist, acting.external, *out), *out)
 
     def _done(self, status, *out):
