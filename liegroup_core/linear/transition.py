@@ -53,8 +53,8 @@ def transition(simulation, duration, independent=None):
     duration    : s, greater than 0
     independent : names of the coordinates, which must be independent at the end, too; None: those with the best
                   condition now
-    Raises SceneError for wrong names, SimulationError where runs to both sides behave differently, and where stops or
-    friction hold other joints at the end. Accuracy: test/verification/test_transition.py.
+    Raises SceneError for wrong names, SimulationError where runs to both sides behave differently, and where stops,
+    friction or laws hold other joints at the end. Accuracy: test/verification/test_transition.py.
     """
     if not 0.0 < duration <= LATEST - simulation.time:
         raise SceneError(f"the duration must be greater than 0 and end before {LATEST:g} s, got {duration:g} s")

@@ -15,6 +15,7 @@ SAME = 1e-9  # of shares: they are less exact than the motion
 NEAR, SHIFT = 1e-6, 0.1  # differences: of the time, relative to that of the motion, and of shares
 ROUND_OFF = 64.0 * np.finfo(float).eps  # of heights, relative to the largest number of a state
 SOON = 1e-9  # s, within which a surface is reached where no step is possible
+GRID = np.linspace(0.0, 1.0, 101)  # of a step, where the first share beyond 0 and 1 is sought
 MOST_IDLE = 20  # changes of sides without a step
 
 
@@ -40,7 +41,8 @@ class Surfaces:
         return slopes, heights, (after - before) / (2.0 * h)
 
     def begin(self, function, time, state, scale):
-        """Prepare `correct` for steps from a state."""
+        """Prepare steps from a state."""
+        self._least = ROUND_OFF * max(1.0, np.abs(state).max())
         if not self.slides.any():
             return
         ways = SHIFT * np.eye(len(self.sides))[self.slides]
@@ -49,7 +51,7 @@ class Surfaces:
         self.heights = np.where(self.slides, heights[0], self.heights)
         self._effects, rates = ((each[: len(ways)] - each[len(ways) :]) / (2.0 * SHIFT) for each in (slopes, rates))
         self._shares = np.linalg.pinv(np.nan_to_num(rates[:, self.slides]))
-        self._round_off = ROUND_OFF * max(1.0, np.abs(state).max()) * np.abs(self._shares).sum()
+        self._round_off = self._least * np.abs(self._shares).sum()
 
     def correct(self, sides, slopes, heights, step):
         """Newton's step for the sides (s, c) and slopes (s, N) at the nodes of a step, where the heights are (s, c)."""
@@ -64,23 +66,32 @@ class Surfaces:
         """Part of a step in which shares stay between 0 and 1, and sides that were left to are kept; 1: all of it."""
         part, self._leaves = 1.0, None
         for k in np.flatnonzero(self.slides):
-            if (np.abs(sides[:, k] - 0.5) <= 0.5 + SAME + self._noise).all():
-                continue
-            share = self._polynomial @ sides[:, k]
+            coefficients, allowed = self._polynomial @ sides[:, k], 0.5 + SAME + self._noise
 
-            def beyond(u, share=share):
-                return np.abs(legendre.legval(2.0 * u - 1.0, share) - 0.5) - 0.5
+            def share(u, coefficients=coefficients):
+                return legendre.legval(2.0 * u - 1.0, coefficients)
 
-            grid = np.linspace(0.0, 1.0, 101)
-            first = int(np.argmax(beyond(grid) > 0.0))
-            end = brentq(beyond, grid[first - 1], grid[first], xtol=1e-14) if first else 0.0
-            if end < part:
-                part, self._leaves = end, k
-        held = ~self.slides & (self.sides != FREE)
-        way = np.where(self.sides == 1.0, -1.0, 1.0)
-        if (way * heights < -2.0 * np.abs(self.heights))[:, held].any():
+            def beyond(u, share=share, allowed=allowed):
+                return np.abs(share(u) - 0.5) - allowed
+
+            first = np.flatnonzero(beyond(GRID) > 0.0)[:1]
+            if len(first):
+                (i,) = first
+                end = brentq(beyond, GRID[i - 1], GRID[i], xtol=1e-14) if i else 0.0
+                if end < part:
+                    part, self._leaves = end, (k, float(share(GRID[i]) > 0.5))
+        if (self._above(heights) < -2.0 * np.abs(self.heights) - self._least)[:, self._held].any():
             part = min(part, 0.25)
         return part
+
+    @property
+    def _held(self):
+        """(c,) whether a side holds to which the motion has left a surface."""
+        return ~self.slides & (self.sides != FREE)
+
+    def _above(self, heights):
+        """Heights (..., c) that are positive on these sides."""
+        return np.where(self.sides == 1.0, -heights, heights)
 
     def start(self, solver):
         """Find the surfaces along which the motion slides from its start."""
@@ -91,33 +102,33 @@ class Surfaces:
 
     def after(self, solver, moves):
         """Change sides after a step, or where no step is possible; returns whether any changed."""
-        before = self.sides.copy(), self.slides.copy()
-        held = ~self.slides & (self.sides != FREE)
+        sides, slides, held = self.sides.copy(), self.slides.copy(), self._held
+        met = ~slides & ~held
         if moves:
-            sides, heights = solver.sides[-1], solver.heights[-1]
-            met = ~self.slides & ~held & (np.sign(heights) != np.sign(self.heights))
-            way = np.where(self.sides == 1.0, -1.0, 1.0)
-            self.sides[held & (way * heights > 2.0 * np.abs(self.heights))] = FREE
-            self.sides[self.slides], self._idle = sides[self.slides], 0
-            self.heights = np.where(self.slides, self.heights, heights)
-            for k in np.flatnonzero(self.slides & (np.abs(self.sides - 0.5) >= 0.5 - SAME) & (self._noise < SAME)):
-                self._leave(k)
+            ends, heights = solver.sides[-1], solver.heights[-1]
+            met &= np.sign(heights) != np.sign(self.heights)
+            self.sides[held & (self._above(heights) > 2.0 * np.abs(self.heights))] = FREE
+            self.sides[slides], self._idle = ends[slides], 0
+            self.heights = np.where(slides, self.heights, heights)
+            for k in np.flatnonzero(slides & (np.abs(self.sides - 0.5) >= 0.5 - SAME) & (self._noise < SAME)):
+                self._leave(k, float(self.sides[k] > 0.5))
         elif self._leaves is not None:
-            met = np.zeros(len(held), bool)
-            self._leave(self._leaves)
+            met[:] = False
+            self._leave(*self._leaves)
+            self._leaves = None
         else:
-            met = ~self.slides
+            met = ~slides
             self.sides[held] = FREE
         for k in np.flatnonzero(met):
             self._enter(k, solver, None if moves else SOON)
         self._idle += not moves
-        turned = (self.slides != before[1]).any()
+        turned = (self.slides != slides).any()
         if turned:
             solver.wanted = None
-        return turned or not moves and self._idle <= MOST_IDLE and (self.sides != before[0]).any()
+        return turned or not moves and self._idle <= MOST_IDLE and (self.sides != sides).any()
 
-    def _leave(self, k):
-        self.slides[k], self.sides[k] = False, np.round(np.clip(self.sides[k], 0.0, 1.0))
+    def _leave(self, k, side):
+        self.slides[k], self.sides[k] = False, side
 
     def _enter(self, k, solver, soon=None):
         """Let the motion slide along surface k, too, if both sides lead back to it, and within a time."""
