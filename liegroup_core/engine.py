@@ -98,6 +98,7 @@ class Engine:
 
     MOTION: tuple[str, ...] = ("_pose", "_twist", "_steps", "_offsets", "_angles", "_memory", "_modes")
     KEPT: tuple[str, ...] = (*MOTION, "inputs")
+    LOCATES = False  # whether steps without error control, too, end where a law jumps
 
     apply_wrench = method_of("inputs", Inputs.apply_wrench)
     apply_effort = method_of("inputs", Inputs.apply_effort)
@@ -139,7 +140,8 @@ class Engine:
         self.layout = layout.with_model(_stabilised(layout.model, stabilisation, baumgarte_time, self.step))
         self.stabilisation, self.baumgarte_time = stabilisation, baumgarte_time and float(baumgarte_time)
         self.group = choose_group(method, group)
-        self._integrator = make_integrator(method, self.layout, self.group, self.step, self.options)
+        options = self.options | {"locates": self.LOCATES}
+        self._integrator = make_integrator(method, self.layout, self.group, self.step, options)
         self._work = self._integrator.work
         self._switching = getattr(self._integrator, "switching", None)
         self._stop_at = getattr(self._integrator, "stop_at", None)

@@ -8,6 +8,8 @@ import numpy as np
 from liegroup_core.events.switching import BEYOND
 from liegroup_core.fields.arguments import check_name, got, is_finite, mapping
 from liegroup_core.forces.commands import MOTION, Command, Commands
+from liegroup_core.forces.formulas import UNKNOWN
+from liegroup_core.forces.law import places_of_branches
 from liegroup_core.joints.coupling import COUPLED, difference, turns
 from liegroup_core.joints.limits import usable
 from liegroup_core.joints.motion import at, uniform
@@ -79,7 +81,9 @@ def place(engine, poses=None, twists=None, joints=None) -> None:
     motions, before = engine.inputs.acting.motions.copy(), engine.inputs.commands
     present, applied, events = engine.sample(), engine.inputs.log, engine.events.pending
     kept = [*(angles[joint] for joint in counted), *engine._work.angle[len(counted) :]]
-    engine.set_state(*state, engine.steps, np.array(kept))
+    kept = np.array(kept)
+    kept[places_of_branches(engine.layout.model.forces.laws)] = UNKNOWN  # it may be beside its surfaces now
+    engine.set_state(*state, engine.steps, kept)
     _keep_turns(engine, present, joints)
     engine.inputs.commands = _motions_after(engine, motions, before, joints)
     engine.inputs.log, engine.events.pending = applied, events  # the run goes on

@@ -93,6 +93,19 @@ relative = _of(
 )
 Ad_inverse = _of("Ad_inverse", "X V", "return se3_Ad_inverse(X[0], X[1], V[0], V[1])", "return se2_Ad_inverse(X, V)")
 wrench_at = _of("wrench_at", "X F", "return se3_wrench(X[0], X[1], F[0], F[1])", "return se2_wrench(X, F)")
+# Vdot of link b minus gravity; and of the world.
+freed = _of(
+    "freed",
+    "work b",
+    "return load3(work.moved, b, 0), load3(work.moved, b, 3)",
+    "return work.moved[b, 0], work.moved[b, 1] + work.drift[b, 0], work.moved[b, 2] + work.drift[b, 1]",
+)
+resting = _of(
+    "resting",
+    "",
+    "return ZERO3, axpy3(-1.0, load3(model.gravity, 0, 0), ZERO3)",
+    "return 0.0, -model.plane_gravity[0, 0], -model.plane_gravity[0, 1]",
+)
 # Poses of links in the world, or in the plane, at the stage.
 compose = _of("compose", "X Y", "return se3_compose(X[0], X[1], Y[0], Y[1])", "return se2_compose(X, Y)")
 placed = _of(

@@ -11,31 +11,15 @@ from liegroup_core.compiling import kernel, shared
 from liegroup_core.forces.formulas import OPEN, SHARED
 from liegroup_core.forces.law import measure_slopes
 from liegroup_core.joints.elements import WORLD
-from liegroup_core.lie.se2 import turn_back2
 from liegroup_core.lie.se3 import se3_Ad_inverse
-from liegroup_core.lie.vec3 import add3, load3, load9, load_column, matrix3, store3, tmatvec3, vector3
+from liegroup_core.lie.vec3 import load_column, matrix3, store3, vector3
 
-from .algebra import choice, load, spatial
+from .algebra import Ad_inverse, freed, placed, resting, spatial, sub
 from .dense_lu import lu_factorise, lu_solve
 
 # Newton's method with one matrix goes on while the rates decrease by half, down to ENOUGH; affine rates take one step.
 ENOUGH, PRECISE = 1e-13, 1e-8  # the largest that are accepted
-
-
-@kernel
-def _acceleration_in_space(model, work, b):
-    w, v = load(model, work.moved, b)
-    return w, add3(v, tmatvec3(load9(work.world, b, 0), load3(model.gravity, 0, 0)))
-
-
-@kernel
-def _acceleration_in_plane(model, work, b):
-    w, x, y = load(model, work.moved, b)
-    gx, gy = turn_back2(work.placed[b, 0], work.placed[b, 1], model.plane_gravity[0, 0], model.plane_gravity[0, 1])
-    return w, x + work.drift[b, 0] + gx, y + work.drift[b, 1] + gy
-
-
-_acceleration = choice("acceleration", _acceleration_in_space, _acceleration_in_plane)
+RATE, SIZE = 0, 1  # columns of Work.shares
 
 
 @kernel
@@ -64,7 +48,8 @@ def set_surface_rates(model, work):
             f = model.links[i]["freedom"]
             w, v = load_column(work.acceleration, f, 0), load_column(work.acceleration, f + 3, 0)
         elif b != WORLD:
-            A = spatial(model, _acceleration(model, work, b))
+            gravity = Ad_inverse(model, placed(model, work, b), resting(model))
+            A = spatial(model, sub(model, freed(model, work, b), gravity))
             w, v = se3_Ad_inverse(matrix3(body["rotation"]), vector3(body["point"]), A[0], A[1])
         store3(w, work.body_rates, i, 0)
         store3(v, work.body_rates, i, 3)
@@ -82,7 +67,6 @@ def begin_shares(model, work):
     for j in range(len(work.shares)):
         if slides(model, work, j):
             work.branches[model.space.forces.laws.surfaces[j]] = SHARED
-        work.shares[j, 0] = 0.0
 
 
 @kernel
@@ -95,21 +79,21 @@ def add_share(model, work, j, share):
 def keep_rates(work):
     """Keep the rates at the present shares."""
     for j in range(len(work.shares)):
-        work.shares[j, 1] = work.surface_rates[j]
+        work.shares[j, RATE] = work.surface_rates[j]
 
 
 @kernel
 def take_kept_rates(work):
     """Continue with the rates of `keep_rates`."""
     for j in range(len(work.shares)):
-        work.surface_rates[j] = work.shares[j, 1]
+        work.surface_rates[j] = work.shares[j, RATE]
 
 
 @kernel
 def set_column(model, work, j):
     """Column j of the matrix of the rates by shares: their change since `keep_rates`."""
     for i in range(len(work.shares)):
-        work.share_matrix[i, j] = work.surface_rates[i] - work.shares[i, 1] if slides(model, work, i) else 0.0
+        work.share_matrix[i, j] = work.surface_rates[i] - work.shares[i, RATE] if slides(model, work, i) else 0.0
 
 
 @kernel
@@ -120,9 +104,9 @@ def factorise_shares(model, work):
             for i in range(len(work.shares)):
                 work.share_matrix[i, j] = 0.0
             work.share_matrix[j, j] = 1.0
-        work.shares[j, 2] = 0.0
+        work.shares[j, SIZE] = 0.0
         for i in range(len(work.shares)):
-            work.shares[j, 2] += abs(work.share_matrix[j, i])
+            work.shares[j, SIZE] += abs(work.share_matrix[j, i])
     return lu_factorise(work.share_matrix, work.share_pivots)
 
 
@@ -143,7 +127,7 @@ def largest_rate(model, work):
     largest = 0.0
     for j in range(len(work.shares)):
         if slides(model, work, j):
-            largest = max(largest, abs(work.surface_rates[j]) / work.shares[j, 2])
+            largest = max(largest, abs(work.surface_rates[j]) / work.shares[j, SIZE])
     return largest
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from liegroup_core.dynamics.switches import LEAST, LOWER, MOST, SLIDING, UPPER, modes_of
 from liegroup_core.forces.acting import Acting
 from liegroup_core.forces.formulas import OPEN, SHARED, UNKNOWN
-from liegroup_core.forces.law import is_shared, next_branch
+from liegroup_core.forces.law import is_shared, next_branch, places_of_branches
 from liegroup_core.joints.stops import WITHIN_A_TURN
 from liegroup_core.mechanism.arrays import BEGIN, COORDINATE, KNOWN, SIDE, SLIP, SPAN, WATCHED
 from liegroup_core.status import BEYOND_STOP, EVENT, EVENTS_WITHOUT_END, MOST_EVENTS, OK, TOO_MANY_SUBSTEPS
@@ -207,6 +207,8 @@ class Switching(EventTimes):
             self._lead.go_back()
         if not known:
             work.modes[:, COORDINATE] = self._in_turns_of_stops(work.modes[:, COORDINATE])
+            if len(work.shares):  # a state that was set slides on where it did
+                work.branches[self._laws.surfaces] = work.angle[places_of_branches(self._laws)]
         work.clock.now[0] = time
         status = self._look(self._model, work, *state)
         if status != OK:
@@ -400,9 +402,8 @@ class Switching(EventTimes):
 
     def _keep_shares(self):
         """Keep the branches of surfaces for those who read the state."""
-        laws, work = self._laws, self._work
-        first, branches = laws.first + len(laws.held), work.branches[laws.surfaces]
-        work.angle[first : first + len(branches)] = np.where(branches > 1.0, branches, 0.0)
+        branches = self._work.branches[self._laws.surfaces]
+        self._work.angle[places_of_branches(self._laws)] = np.where(branches > 1.0, branches, UNKNOWN)
 
     @property
     def _laws(self):

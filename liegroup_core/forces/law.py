@@ -792,6 +792,12 @@ def make_laws(described, index, ends, angles, slides, first, sensors=()):
     )
 
 
+def places_of_branches(laws):
+    """Slice of the unwrapped angles of a state that has the branches of its surfaces; 0: the motion does not slide."""
+    first = laws.first + len(laws.held)
+    return slice(first, first + len(laws.surfaces))
+
+
 @kernel
 def state_matters(laws, registers, s):
     """Whether anything depends on state s, at computed registers."""

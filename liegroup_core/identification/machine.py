@@ -2,8 +2,9 @@
 """Runs of a scene under the inputs of a log, from one time to another, with the outputs that were measured.
 
 A run is divided at every time at which an input changes or something was measured. Each part has equal steps of the
-classical Munthe-Kaas method of order four, as few as a longest step allows. So the outputs are smooth functions of the
-start and of the numbers of the scene, and differences of two runs have only the errors of rounding.
+classical Munthe-Kaas method of order four, as few as a longest step allows, and ends where a law jumps. So the outputs
+are smooth functions of the start and of the numbers of the scene, and differences of two runs have only the errors of
+rounding.
 """
 
 import math
@@ -127,6 +128,12 @@ def moved(machine, segment, start, lag):
     return _segment(machine, segment.start + start, segment.rows, own, machine.changes(segment.times[-1] + lag), ends)
 
 
+class _Locating(Engine):
+    """Engine whose steps end where a law jumps."""
+
+    LOCATES = True
+
+
 class Machine:
     """Engine of a scene with the channels of a log.
 
@@ -143,7 +150,7 @@ class Machine:
         group = choose_group(METHOD, "auto")
         settings = group, "projection" if layout.drifts(group) else "none"
         options = {"space": "space"} if in_space else {}
-        self.engine = Engine(layout.scene, METHOD, STEP, *settings, quiet=True, layout=layout, **options)
+        self.engine = _Locating(layout.scene, METHOD, STEP, *settings, quiet=True, layout=layout, **options)
         self.probe = Probe(self.engine, in_space=in_space)
         self.layout, self.log = self.engine.layout, log
         self._late = self.layout.model.forces.laws.late  # the time of laws is that of the log

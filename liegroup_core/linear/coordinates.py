@@ -11,6 +11,9 @@ with the changes c of rates that keep the joints closed where the position chang
 that roll or knife edges forbid velocities only: then N is the null space of the position residuals, and there are
 more coordinates z than rates u. Together they are the tangent space of all states, in which the equations of motion
 are linearised.
+
+A motion that slides along a surface of a law stays on it, so that one rate depends on the others and on the
+coordinates: the surface forbids a velocity, as a wheel does.
 """
 
 from functools import cached_property
@@ -37,7 +40,8 @@ class Coordinates:
 
     chosen : names of freedoms that are independent; None: those with the best condition
     preferred : names that are among them if they can be
-    displaced : True: coordinates that stops or friction hold are among them, without a rate
+    displaced : True: coordinates that stops or friction hold are among them, without a rate; and neighbours may be
+                beside surfaces of laws
     states : True: states of laws are among the independent coordinates, which else have positions only
 
     freedoms : [Freedom]
@@ -54,15 +58,16 @@ class Coordinates:
         self.is_state, self._with_states = np.array([not each.unit for each in self.freedoms], dtype=bool), states
         self._signs = np.array([freedom.sign for freedom in self.freedoms])
         self._scales = scales_of(probe.layout)
+        self._slides = len(probe.slides) > 0 and not displaced
         basis = self._velocities()
         weights = np.array([OF_JOINT if freedom.is_of_joint else 1.0 for freedom in self.freedoms])
         weights *= 1.0 - FIRST * np.arange(len(weights))
         weights[[self.number(name) for name in preferred]] = PREFERRED
         wanted = None if chosen is None else np.array([self.number(name) for name in chosen], dtype=int)
-        if probe.layout.rolls or displaced and (probe.held.any() or probe.is_switched.any()):
+        if probe.layout.rolls or self._slides or displaced and (probe.held.any() or probe.is_switched.any()):
             places = self._positions(displaced)
             if not displaced and wanted is not None and len(wanted) == places.shape[1] != basis.shape[1]:
-                raise SceneError("with rolling, choose as many coordinates as there are independent rates")
+                raise SceneError("with rolling or sliding, choose as many coordinates as there are independent rates")
             self.moving, self.rates = self._independent(basis, wanted, weights)
             weights[self.moving] = np.maximum(weights[self.moving], MOVING)
             self.independent, self.motions = self._independent(places, None, weights)
@@ -117,7 +122,7 @@ class Coordinates:
         f = probe.freedoms
         free = np.flatnonzero(~probe.held)
         if not probe.is_closed:
-            return np.eye(f)[:, free]
+            return self._along_surfaces(np.eye(f)[:, free])
         # Columns of P; its nonzero singular values are at least 1.
         rest = probe.closed()[0]
         columns = []
@@ -126,7 +131,29 @@ class Coordinates:
             y[k, 1] = self._scales[k]
             columns.append((probe.closed(y)[0] - rest) / self._scales)
         left, sizes, _ = np.linalg.svd(np.array(columns).reshape(-1, f).T, full_matrices=False)
-        return left[:, sizes > 0.5]
+        return self._along_surfaces(left[:, sizes > 0.5])
+
+    def _along_surfaces(self, basis):
+        """Basis (f, p - s) of those velocities of a basis (f, p) that keep the motion on s surfaces of laws."""
+        if not self._slides:
+            return basis
+        return basis @ scipy.linalg.null_space(self._climbs(self._rate_ways).T @ basis, rcond=NO_ROW)
+
+    def _climbs(self, directions):
+        """(d, s) changes along directions (d, f, 2) of the distances from the surfaces of laws."""
+        probe = self._probe
+        if not self._slides:
+            return np.zeros((len(directions), 0))
+        with probe.holding():
+            return np.array([derivative(lambda s, y=y: probe.heights(s * y), ANGLE)[0] for y in directions])
+
+    @property
+    def _rate_ways(self):
+        """(f, f, 2) directions of the rates of all freedoms, in the units of the freedoms."""
+        f = self._probe.freedoms
+        directions = np.zeros((f, f, 2))
+        directions[np.arange(f), np.arange(f), 1] = self._scales
+        return directions
 
     @cached_property
     def _gaps(self):
@@ -186,26 +213,27 @@ class Coordinates:
         """Changes c (f, m) of the dependent rates with the coordinates; zero without loops."""
         probe = self._probe
         changes = np.zeros_like(self.motions)
-        if not probe.is_closed:
+        if not (probe.is_closed or self._slides):
             return changes
         # J c = -d(J V) along the independent coordinates, without a change of the independent rates.
         directions = np.zeros((len(self.independent), probe.freedoms, 2))
         directions[:, :, 0] = self.motions.T
         slips = probe.tangents(directions, np.full(len(directions), ANGLE))[2]
-        return self._rates_against(slips, ~probe.held).T
+        return self._rates_against(np.hstack([slips, self._climbs(directions)]), ~probe.held).T
 
     @cached_property
     def _slips(self):
         """(f, m) changes of the rates J V with those of all freedoms, in the units of the freedoms."""
-        f = self._probe.freedoms
-        directions = np.zeros((f, f, 2))
-        directions[np.arange(f), np.arange(f), 1] = self._scales
-        return self._probe.tangents(directions, np.full(f, ANGLE))[2]
+        return self._probe.tangents(self._rate_ways, np.full(self._probe.freedoms, ANGLE))[2]
 
     def _rates_against(self, slips, free):
-        """(d, f) changes of rates that take back changes (d, m) of J V, without one of the independent rates."""
+        """(d, f) changes of rates that take back changes (d, m + s) of J V and of the distances from surfaces.
+
+        The independent rates do not change.
+        """
         changes = np.zeros((len(slips), self._probe.freedoms))
-        found = np.linalg.lstsq(self._slips[free].T, -slips.T, rcond=NO_ROW)[0]
+        rows = np.hstack([self._slips, self._climbs(self._rate_ways)])
+        found = np.linalg.lstsq(rows[free].T, -slips.T, rcond=NO_ROW)[0]
         changes[:, free] = (self._scales[free, None] * found).T
         return changes - changes[:, self.moving] @ self.rates.T
 

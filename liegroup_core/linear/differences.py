@@ -13,6 +13,8 @@ from liegroup_core.errors import SimulationError
 
 # Weights of f(k h) - f(-k h), k = 1, 2, 3, for h f' of orders 2, 4 and 6.
 WEIGHTS = np.array([[0.5, 0.0, 0.0], [2.0 / 3.0, -1.0 / 12.0, 0.0], [0.75, -0.15, 1.0 / 60.0]])
+# The same, of f'(0+) and f'(0-) in the mean, of orders 1, 2 and 3: for functions that are smooth on each side only.
+SIDED = np.array([[0.5, 0.0, 0.0], [1.0, -0.25, 0.0], [1.5, -0.75, 1.0 / 6.0]])
 SMALLER = 8.0  # factor between two sizes
 MOST_SIZES = 8
 ENOUGH = 1e-12  # relative error at which no smaller h is tried
@@ -21,17 +23,17 @@ RUN_NOISE = 1e-11  # of values of a run to 1e-13, relative
 ROUND_OFF = 4.0 * np.finfo(float).eps  # of a value; the weights add up to less than 2
 
 
-def of_values(values, h):
+def of_values(values, h, weights=WEIGHTS):
     """Derivative, an estimate of its error, and whether that is small, from values at (h, -h), (2h, -2h), (3h, -3h).
 
     values : (3, 2, ...)
     """
-    second, fourth, sixth = np.tensordot(WEIGHTS, values[:, 0] - values[:, 1], 1) / h
+    second, fourth, sixth = np.tensordot(weights, values[:, 0] - values[:, 1], 1) / h
     last, before = np.abs(sixth - fourth), np.abs(fourth - second)
-    # The differences of successive orders decrease like a geometric sequence.
+    # The differences of successive orders decrease like a geometric sequence; of SIDED the first may vanish by chance.
     ratio = np.divide(last, before, out=np.zeros_like(last), where=before > 0.0)
     rounding = ROUND_OFF * np.abs(values).max(axis=(0, 1)) / h
-    error = last * np.minimum(ratio, 1.0) + rounding
+    error = last * (np.minimum(ratio, 1.0) if weights is WEIGHTS else 1.0) + rounding
     size = _largest(np.abs(sixth))
     return sixth, error, _largest(error) <= max(ENOUGH * size, 2.0 * _largest(rounding))
 
@@ -51,12 +53,13 @@ def kinked(values, base):
     return (near > KINK * first) & (near > RUN_NOISE * size) & (far < 3.0 * near)
 
 
-def derivative(function, h, base=None):
+def derivative(function, h, base=None, weights=WEIGHTS):
     """Derivative of a function of one number at 0, and an estimate of its error.
 
     function : returns an array; may raise SimulationError away from 0
     h        : first distance of the values
     base     : the value at 0; if it is given, a function with a kink there has no derivative
+    weights  : WEIGHTS, or SIDED
     returns (derivative, error), arrays of the same shape; the error is inf if no distance has values
     """
     best = None
@@ -69,7 +72,7 @@ def derivative(function, h, base=None):
         if base is not None and kinked(values, base).any():
             h /= SMALLER
             continue
-        found, error, is_small = of_values(values, h)
+        found, error, is_small = of_values(values, h, weights)
         if best is None or _largest(error) < _largest(best[1]):
             best = found, error
         if is_small:

@@ -21,7 +21,7 @@ from liegroup_core.errors import SceneError, SimulationError
 from .channels import InputChannels
 from .coordinates import Coordinates
 from .friction import Stops
-from .probe import Probe
+from .probe import Probe, refuse_sliding
 from .trim import undetermined
 
 LARGEST = 0.2  # rad, or share of the mechanism's size, in a step towards a far position
@@ -74,6 +74,7 @@ def inverse_dynamics(simulation, times, positions, rates, accelerations, joints,
     Accuracy: test/verification/test_linear.py.
     """
     probe = Probe(simulation)
+    refuse_sliding(probe, "inverse dynamics")
     joints_of_motions(probe)
     if not joints:
         raise SceneError("inverse dynamics needs at least one independent joint")

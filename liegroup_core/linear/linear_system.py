@@ -29,6 +29,7 @@ class LinearSystem:
 
     A (n, n), B (n, k), C (p, n), D (p, k) : see the module; SI units
     states, inputs, outputs : names; the states are m coordinates, then rates: as many, or fewer with rolling
+                              and on surfaces of laws
     coordinates : m
     motions   : (f, m) change of each degree of freedom of the tree with the coordinates
     freedoms  : names of the f degrees of freedom
@@ -146,7 +147,8 @@ def linearise(simulation, inputs=None, outputs=None, independent=None, time=None
     time   : s, of a state within the present step; None: the present state
     inputs, outputs : names, see channels.py; None: the default ones
     independent : names of the coordinates; None: those with the best condition
-    Stops and friction keep their present modes; joints that they hold do not move. The inputs that act continue.
+    Stops and friction keep their present modes; joints that they hold do not move. A motion that slides along a
+    comparison of a law stays there. The inputs that act continue.
     Raises SceneError for unknown names, SimulationError if the accelerations cannot be computed.
     Accuracy: test/verification/test_linear.py.
     """

@@ -118,7 +118,8 @@ class Sides:
     def of_equations(self, probe):
         """(q, f + 2 m) derivatives of the accelerations, the position residuals and J V, and their errors."""
         probe.closed()
-        return _derivatives(self._values(lambda _, near: near.equations(probe)))
+        with probe.holding():
+            return _derivatives(self._values(lambda _, near: near.equations(probe)))
 
     def _values(self, function):
         """(2, 2, q, p) values at changes of CHANGE, -CHANGE, and of twice as much."""

@@ -9,8 +9,13 @@ coordinates y = (psi, w) the mechanism is the ordinary differential equation tha
 
 with the accelerations of the engine: loops, forces, couplings, driven joints, and the stops and friction that
 hold at the state. For joints with one coordinate psi is the change of that coordinate.
+
+If the motion slides along surfaces of laws, a neighbour keeps its distances from these: the shares of both sides are
+those of the neighbour (dynamics/sliding.py). So they are functions of the state, inputs and numbers, and differences of
+the accelerations have their derivatives.
 """
 
+import contextlib
 import dataclasses
 import math
 
@@ -27,7 +32,8 @@ from liegroup_core.dynamics.switches import MOVES, modes_of, set_modes, set_rate
 from liegroup_core.dynamics.trees import move_links
 from liegroup_core.engine import METHOD, Engine
 from liegroup_core.errors import SceneError, SimulationError
-from liegroup_core.forces.law import laws_of
+from liegroup_core.forces.formulas import OPEN, UNKNOWN
+from liegroup_core.forces.law import branch_of, laws_of, places_of_branches
 from liegroup_core.joints.stops import SLIDE, TURN
 from liegroup_core.methods.munthe_kaas import steps
 from liegroup_core.methods.munthe_kaas.explicit import make_scheme
@@ -165,21 +171,21 @@ def refuse_sampled(described):
             )
 
 
-def refuse_sliding(layout, sample):
-    """Raise SimulationError for a state that slides along a comparison of a law: its share has no derivative here."""
-    laws = layout.model.forces.laws
-    first = laws.first + len(laws.held)
-    for k, branch in enumerate(sample.angles[first : first + len(laws.surfaces)]):
-        if branch > 1.0:
-            law = layout.states[len(laws.held) + k].partition(".")[0]
-            raise SimulationError(
-                f"the motion slides along a comparison of the law {law} at t = {sample.time:.9g} s, and has no "
-                "derivative there: choose another time, or make the jump smooth, as 1 if v > 0 else -1 by tanh(v/0.01)"
-            )
+def refuse_sliding(probe, what):
+    """Raise SimulationError for a Probe at a state that slides along a comparison of a law; what : needs another."""
+    laws = probe.layout.model.forces.laws
+    for k in probe.slides:
+        law = probe.layout.states[len(laws.held) + k].partition(".")[0]
+        raise SimulationError(
+            f"the motion slides along a comparison of the law {law} at t = {probe.base.time:.9g} s, {what} needs "
+            "a state that does not: choose another time, or make the jump smooth, as 1 if v > 0 else -1 by tanh(v/0.01)"
+        )
 
 
 class _Still(Engine):
     """Engine that takes no step: kernels of steps and samples are not needed."""
+
+    LOCATES = True
 
     def _touch(self):
         self.reset()
@@ -206,12 +212,15 @@ class Probe:
         self._model, self._work = engine._integrator.mechanism
         self._scheme = make_scheme(_ONE, EXACT)
         self.freedoms = len(self._work.freedoms)
+        laws = self._model.space.forces.laws
+        self._kept = places_of_branches(laws)
+        self._held = UNKNOWN
+        self._sides = laws.code[laws.kinks[laws.surfaces, 0], 2:4]
         self._zeros, self._equations = np.zeros((self.freedoms, 2)), SameTypes(_equations)
         self.take(simulation.sample(time))
 
     def take(self, sample):
         """Go to the state of a Sample of the simulation, with the inputs of its time."""
-        refuse_sliding(self.layout, sample)
         self.base, engine = sample, self._engine
         if engine.layout.switches:
             set_modes(self._model, self._work, sample.switching)
@@ -219,6 +228,7 @@ class Probe:
         self.pose, self.twist = (array.copy() for array in sample._state)
         self._work.angle[:] = sample.angles
         self._states = sample.angles[len(sample.angles) - len(self._model.law_links) :]
+        self._shares = sample.angles[self._kept]
         self._work.known[0] = 0.0
 
     def _take_inputs(self, instant=None):
@@ -261,6 +271,35 @@ class Probe:
     def held(self):
         """(f,) whether stops or friction hold a degree of freedom."""
         return self._work.held[: self.freedoms] != 0.0
+
+    @property
+    def slides(self):
+        """(s,) numbers of the surfaces of laws along which the motion slides."""
+        return np.flatnonzero(self._work.angle[self._kept] > 1.0)
+
+    def heights(self, y=None):
+        """(s,) distances a - b from these surfaces at a neighbour y (f, 2), in the units of their formulas."""
+        self.slopes(y)
+        above, below = self._work.registers[self._sides[self.slides], 0].T
+        return above - below
+
+    @contextlib.contextmanager
+    def holding(self):
+        """Let laws have the branches of the state, whose derivatives differences of its neighbours are."""
+        laws, count = self._model.space.forces.laws, len(self._work.branches)
+        if count:
+            self.slopes()
+        self._held = np.array([branch_of(laws, self._work.registers, k) for k in range(count)])
+        try:
+            yield
+        finally:
+            self._held = UNKNOWN
+
+    def _begin(self, held):
+        """Let a neighbour slide along the surfaces of the state, with shares of its own; held : the other branches."""
+        surfaces, kept = self._model.space.forces.laws.surfaces, self._work.angle[self._kept]
+        self._work.branches[:] = held
+        self._work.branches[surfaces] = np.where(kept > 1.0, kept, self._work.branches[surfaces])
 
     @property
     def has_loads(self):
@@ -361,6 +400,7 @@ class Probe:
         out, pose, twist = np.empty((self.freedoms, 2)), self.pose.copy(), self.twist.copy()
         self._call(_evaluate, y, acting, out, pose, twist)
         self._states = self._work.stage_twist[len(self.pose) + self._model.law_links, 0]
+        self._shares = self._work.branches[self._model.space.forces.laws.surfaces]
         return out.T.ravel(), pose, twist
 
     def tangents(self, directions, sizes, external=None, targets=None):
@@ -369,7 +409,7 @@ class Probe:
         sizes : (d,) first distances of differences
         external, targets : (d, n, COLUMNS), (d, k, 2) changes of the inputs; None: none
         See tangents.py. The error is relative, NOT_SMOOTH where differences of a row have no digits, near singular
-        poses, and with friction by load. Raises SimulationError.
+        poses, with friction by load, and along surfaces of laws. Raises SimulationError.
         """
         model, work, count = self._model, self._work, len(directions)
         n, L, m, f = len(model.bodies), len(model.links), len(model.row_residual), self.freedoms
@@ -378,6 +418,7 @@ class Probe:
         targets = np.zeros((count, *self.acting.targets.shape)) if targets is None else targets
         moves = np.ascontiguousarray(np.swapaxes(directions, 1, 2), dtype=float).reshape(2 * count * f, 1)
         work.targets[:] = self.acting.targets
+        self._begin(UNKNOWN)
         status = tangents(
             model,
             work,
@@ -396,7 +437,7 @@ class Probe:
         if status not in (OK, NOT_REGULAR) or not np.isfinite(out).all():
             status = NOT_FINITE if status in (OK, NOT_REGULAR) else status
             raise SimulationError(explain(self._engine, status), status & 0xFF)
-        if status == NOT_REGULAR or model.has_loads:
+        if status == NOT_REGULAR or model.has_loads or len(self.slides):
             out[:, 2 * f] = NOT_SMOOTH
         return out[:, : 2 * f], out[:, 2 * f], out[:, 2 * f + 1 :]
 
@@ -416,8 +457,10 @@ class Probe:
                 )
             return self.slopes(s * directions[d], given)[0]
 
-        for d in np.flatnonzero(uncertain == NOT_SMOOTH):
-            found[d], errors[d] = derivative(lambda s, d=d: slopes(d, s), sizes[d])
+        if (rough := np.flatnonzero(uncertain == NOT_SMOOTH)).size:
+            with self.holding():
+                parts = [derivative(lambda s, d=d: slopes(d, s), sizes[d]) for d in rough]
+            found[rough], errors[rough] = (np.array(part) for part in zip(*parts))
         return found, errors
 
     def closed(self, y=None):
@@ -437,6 +480,7 @@ class Probe:
         self._meet(other)
         out = np.empty(self.freedoms + 2 * len(self._model.row_residual))
         given = other._work.pose, other._work.twist, self.acting.external, self.pose, self.twist, out
+        self._begin(other._held)
         self._done(self._equations(self._model, self._work, *given), out)
         return out
 
@@ -449,11 +493,14 @@ class Probe:
         work, acting = self._work, self.acting if acting is None else acting
         work.targets[:] = acting.targets
         y = self._zeros if y is None else np.ascontiguousarray(y, dtype=float)
+        self._begin(self._held)
         self._done(kernel(self._model, work, self._scheme, y, self.pose, self.twist, acting.external, *out), *out)
 
     def _done(self, status, *out):
         if status != OK or not all(math.isfinite(array.sum()) for array in out):
             raise SimulationError(explain(self._engine, status), status & 0xFF)
+        if OPEN in self._work.branches:
+            raise SimulationError("the shares of both sides of a comparison of a law are not determined")
 
     def neighbour(self, y=None):
         """Sample of a neighbour y (f, 2); None: of the state."""
@@ -463,6 +510,7 @@ class Probe:
         """Sample of a neighbour with its Acting; poses and twists are those of the last `slopes`."""
         base, angles = self.base, self._work.angle.copy()
         self._set_states(angles, self._states)
+        angles[self._kept] = self._shares
         found = Sample(self.layout, base.time, base.time_ns, base.steps, pose, twist, angles)
         found.acting, found.joint_efforts = base.acting if acting is None else acting, base.joint_efforts
         if base.switching is not None:

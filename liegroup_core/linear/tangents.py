@@ -32,12 +32,14 @@ from liegroup_core.dynamics.algebra import (
     add_to,
     choice,
     column_twist,
+    freed,
     link_of,
     load,
     product,
     rate_twist,
     rates_of,
     relative,
+    resting,
     spatial,
     store,
     sub,
@@ -132,28 +134,6 @@ def _Ad_transpose_in_plane(model, X, F):
 
 
 @kernel
-def _resting_in_space(model):
-    g = load3(model.gravity, 0, 0)
-    return ZERO3, (-g[0], -g[1], -g[2])
-
-
-@kernel
-def _resting_in_plane(model):
-    return 0.0, -model.plane_gravity[0, 0], -model.plane_gravity[0, 1]
-
-
-@kernel
-def _acceleration_in_space(model, work, b):
-    return load(model, work.moved, b)
-
-
-@kernel
-def _acceleration_in_plane(model, work, b):
-    w, x, y = load(model, work.moved, b)
-    return w, x + work.drift[b, 0], y + work.drift[b, 1]
-
-
-@kernel
 def _at_own_points(model, cut, K):
     """A ball joint moves its parent so that the joint points coincide; see rows.py."""
     if cut["parent"] == WORLD or cut["own_points"] == 0:
@@ -199,13 +179,11 @@ def _row_in_plane(model, rows, r):
     return load3(rows, r, 2)
 
 
-# [V, W]; V* F; Ad_X V; Ad_X^T F; -g of the world; Vdot - g of a link; kappa of a row; V and e in the bias of a row.
+# [V, W]; V* F; Ad_X V; Ad_X^T F; kappa of a row; V and e in the bias of a row.
 _bracket = choice("bracket", _bracket_in_space, _bracket_in_plane)
 _dual = choice("dual", _dual_in_space, _dual_in_plane)
 _Ad = choice("Ad", _Ad_in_space, _Ad_in_plane)
 _Ad_transpose = choice("Ad_transpose", _Ad_transpose_in_space, _Ad_transpose_in_plane)
-_resting = choice("resting", _resting_in_space, _resting_in_plane)
-_acceleration = choice("acceleration", _acceleration_in_space, _acceleration_in_plane)
 _seen = choice("seen", _at_own_points, _as_it_is)
 _turned = choice("turned", _turned_in_space, _turned_in_plane)
 _times = choice("times", _times_in_space, _times_in_plane)
@@ -229,7 +207,7 @@ def _set_state(model, work, pose_in, twist_in, external_in, links, rows, given):
         rows[MULTIPLIER, r] = work.multipliers[r]
     L = len(model.links)
     for b in range(L):
-        store(model, _acceleration(model, work, b), links, ACCELERATION * L + b)
+        store(model, freed(model, work, b), links, ACCELERATION * L + b)
         store(model, zero(model), work.force, b)
     add_own_forces(model, work)
     add_multipliers(model, work)
@@ -249,7 +227,7 @@ def _displace_links(model, work, moves, at, links):
 
     moves : psi of all freedoms from row `at` on, then w
     """
-    n, L, f_all, nothing, rest = len(model.bodies), len(model.links), len(work.freedoms), zero(model), _resting(model)
+    n, L, f_all, nothing, rest = len(model.bodies), len(model.links), len(work.freedoms), zero(model), resting(model)
     for b in range(L):
         store(model, nothing, work.force, b)
     for b in range(L):
@@ -423,7 +401,7 @@ _change_row = choice("change_row", _change_variable_row, _no_change)
 @kernel
 def _change_rows(model, work, links, rows, orders, size):
     """Changes of the residuals of all rows of cut joints, and of their wrenches, to work.force. Returns the error."""
-    L, nothing, rest, error = len(model.links), zero(model), _resting(model), 0.0
+    L, nothing, rest, error = len(model.links), zero(model), resting(model), 0.0
     for j in range(len(model.cuts)):
         cut = model.cuts[j]
         a, b, first = cut["parent"], cut["child"], cut["first"]

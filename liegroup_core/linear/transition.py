@@ -53,8 +53,8 @@ def transition(simulation, duration, independent=None):
     duration    : s, greater than 0
     independent : names of the coordinates, which must be independent at the end, too; None: those with the best
                   condition now
-    Raises SceneError for wrong names, SimulationError where runs to both sides behave differently, and where stops or
-    friction hold other joints at the end. Accuracy: test/verification/test_transition.py.
+    Raises SceneError for wrong names, SimulationError where runs to both sides behave differently, and where stops,
+    friction or laws hold other joints at the end. Accuracy: test/verification/test_transition.py.
     """
     if not 0.0 < duration <= LATEST - simulation.time:
         raise SceneError(f"the duration must be greater than 0 and end before {LATEST:g} s, got {duration:g} s")
@@ -72,9 +72,9 @@ def transition(simulation, duration, independent=None):
         raise SimulationError(
             "the run has no state transition: at a stop or in friction, runs to both sides behave differently"
         )
-    last = Coordinates(run.probe, first.rate_names, first.names)
+    last = Coordinates(run.probe, None, (*first.rate_names, *first.names))
     if last.names != first.names or last.rate_names != first.rate_names:
-        raise SimulationError("stops or friction hold other joints at the end of the run than at its start")
+        raise SimulationError("stops, friction or laws hold other joints at the end of the run than at its start")
     # The run ends at a whole ns; its slope leads from there to the given end.
     rest = np.eye(states) + (duration - 1e-9 * round(1e9 * duration)) * run.matrix(last)
     phi, doubt = (

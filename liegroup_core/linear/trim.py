@@ -19,7 +19,7 @@ from .coordinates import ANGLE, Coordinates
 from .differences import derivative
 from .friction import Resting, Stops, stick
 from .linear_system import LinearSystem, change_of, system_of
-from .probe import Probe
+from .probe import Probe, refuse_sliding
 
 MOST_STEPS = 100
 LARGEST_TURN = 0.3  # rad, or share of the mechanism's size, in a direction of a step
@@ -85,6 +85,7 @@ def trim(simulation, rates=None, held=(), inputs=None, time=None):
     Raises SceneError for unknown names, TrimError if there is no equilibrium near the state.
     """
     probe = Probe(simulation, time)
+    refuse_sliding(probe, "trim")
     return _found(probe, rates or {}, held, inputs or ())
 
 

@@ -21,13 +21,15 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from liegroup_core.errors import SimulationError
+from liegroup_core.events.times import SAME_TIME
+from liegroup_core.forces.formulas import SHARED
 from liegroup_core.forces.instants import AFTER
 from liegroup_core.settings import of_engine
 from liegroup_core.simulation import Simulation
 
 from .channels import StateChannels
 from .coordinates import ANGLE, Coordinates, scales_of
-from .differences import derivative
+from .differences import SIDED, WEIGHTS, derivative
 from .numbers import Sides
 from .probe import Probe
 
@@ -248,7 +250,7 @@ class Variations:
         near = probe.base.switching[:, 3].copy() if probe.layout.switches else np.empty(0)
         run.drain_instants()
         samples = self._samples(times)
-        expected = self._events_at(run, self.time_ns, times)
+        home, expected = self._events_at(run, self.time_ns, times)
         self._near.restore(start)
         probes = [Probe(self._near, in_space=True) for _ in times]
         for one, time in zip(probes, times):
@@ -271,7 +273,7 @@ class Variations:
             for time, seen in zip(times, outputs):
                 other.reach(other.instant_of(time))
                 met.append(seen.of(other.sample()))
-            events = self._events_at(other, self.time_ns, times)
+            events = self._events_at(other, self.time_ns, times, home)[1]
             if events[-1] != expected[-1] or whole and events != expected:
                 raise SimulationError("neighbouring runs have other events")
             return np.where([[mine == own] for mine, own in zip(events, expected)], met, np.nan)
@@ -280,11 +282,14 @@ class Variations:
             sides = (self._near, probe) if c < self._first else self._sides.at(c - self._first, s)
             return arrivals(*sides, self.columns[c], s, whole)
 
+        # Neighbours come to a surface from both sides, whose forces differ.
+        weights = SIDED if SHARED in home else WEIGHTS
+
         def crossed(c):
             for whole in (True, False):  # near enough that no time is between two events, if that is possible
                 with contextlib.suppress(SimulationError):
                     size = NEAR / max(self._sizes(self.columns)[c], 1.0)
-                    return derivative(lambda s, whole=whole: values(c, s, whole), size, base)
+                    return derivative(lambda s, whole=whole: values(c, s, whole), size, base, weights)
             self.rough[c] = True
             return np.zeros((2, len(times), len(outputs[0])))
 
@@ -310,13 +315,26 @@ class Variations:
         return np.abs(columns / self._scales[:, None]).max(axis=(1, 2), initial=0.0)
 
     @staticmethod
-    def _events_at(run, start_ns, times):
-        """For each time in ns: modes and events after each change of the modes since the start."""
+    def _events_at(run, start_ns, times, home=()):
+        """(branches of laws after the start, for each time in ns: modes and events after each change of the modes).
+
+        Round-off decides which sides of a surface of a law a run meets before it slides along it: the last ones count.
+
+        home : branches of a run that slides from its start; how a neighbour beside the surface gets there is left out
+        """
+        instants = run.drain_instants()
+        ends = [*(np.nextafter(one.time - SAME_TIME, 0.0) for one in instants[1:]), np.inf]
         found = [
-            (1e9 * one.time, one.modes[:, :3].tolist(), one.branches.tolist(), [event[1:3] for event in one.events])
-            for one in run.drain_instants()
+            (1e9 * one.time, one.branches.tolist(), one.modes[:, :3].tolist(), [event[1:3] for event in one.events])
+            for one, end in zip(instants, ends)
+            if one.events or one.time < end
         ]
-        return [[rest for when, *rest in found if start_ns + 0.5 < when <= time] for time in times]
+        first = next((k for k, one in enumerate(found) if one[0] > start_ns + 0.5), len(found))
+        begins = found[first - 1][1] if first else []
+        if SHARED in home and begins != home:
+            back = next((k + 1 for k, one in enumerate(found) if k >= first and one[1] == home), first)
+            first = first if any(one[3] for one in found[first:back]) else back
+        return begins, [[rest for when, *rest in found[first:] if when <= time] for time in times]
 
     def of_outputs(self, outputs):
         """(c + q, p) changes of OutputChannels of the probe, and their errors."""

@@ -276,11 +276,11 @@ class RelativeWork(Struct):
     loads: np.ndarray = shaped("switches", 4)
     iteration: np.ndarray = shaped(3)  # 1 if the loads are given; 1 if they did not converge; scratch
     branches: np.ndarray = shaped("branches")  # of the kinks of laws, with error control: forces/formulas.py
-    # Of sliding motions, see dynamics/sliding.py: rates of the twists of bodies and of surfaces; shares, rates at the
-    # shares before, and sums of a row; changes of the rates by shares.
+    # Of sliding motions, see dynamics/sliding.py: rates of the twists of bodies and of surfaces; rates at shares of
+    # zero, and sums of their changes; changes of the rates by shares.
     body_rates: np.ndarray = shaped("sliding", 6)
     surface_rates: np.ndarray = shaped("surfaces")
-    shares: np.ndarray = shaped("surfaces", 3)
+    shares: np.ndarray = shaped("surfaces", 2)
     share_matrix: np.ndarray = shaped("surfaces", "surfaces")
     share_pivots: np.ndarray
     kept_branches: np.ndarray = shaped("surfaces")  # while those of a state in a substep are computed

@@ -13,6 +13,8 @@ Hairer and Wanner, Solving Ordinary Differential Equations II, sections IV.5 and
 import numpy as np
 from numpy.polynomial import legendre
 
+from .sliding import Surfaces
+
 STAGES = 12
 EPS = np.finfo(float).eps
 ITERATIONS, NEWTON_ITERATIONS = 40, 15
@@ -48,12 +50,16 @@ _VALUES = _VALUES[_UPPER]
 class CollocationSteps:
     """Steps of an integration from (time, state), one by one.
 
-    function(times (p,), states (p, N), out (p, N)) : writes the time derivatives
-    scales(state, slope)                            : (N,) sizes that errors are relative to
+    function(times (p,), states (p, N), out (p, N), sides (p, c)) : writes the time derivatives, returns heights (p, c)
+    scales(state, slope) : (N,) sizes that errors are relative to
+    count                : of the surfaces c, see sliding.py
+
+    sides, heights : (s, c) at the nodes of the last step
     """
 
-    def __init__(self, function, scales, time, state, tolerance):
-        self.function, self._scales, self._tolerance = function, scales, tolerance
+    def __init__(self, function, scales, time, state, tolerance, count=0):
+        self.function, self.scales, self._tolerance = function, scales, tolerance
+        self.surfaces = Surfaces(count, NODES, MATRIX)
         self.time, self.state, self.step, self.wanted = time, state, 0.0, None
         self._carry = np.zeros_like(state)  # round-off of the sum of all increments
         self._polynomial = self._jacobian = self._inverse = None
@@ -75,7 +81,8 @@ class CollocationSteps:
         if self._is_new:
             self._slope = np.empty_like(self.state)
             self.function(np.array([self.time]), self.state[None], self._slope[None])
-        scale = self._scales(self.state, self._slope)
+        scale = self.scales(self.state, self._slope)
+        self.surfaces.begin(self.function, self.time, self.state, scale)
         if self.wanted is None:
             change = np.abs(self._slope / scale).max()
             # Runs with different tolerances take different steps from the start: else they would have the same errors.
@@ -102,10 +109,16 @@ class CollocationSteps:
                 continue
             polynomial = COEFFICIENTS[:, 1:] @ increments
             start = _START @ polynomial - NODES[0] * step * self._slope
+            if self._is_new and self.surfaces.slides.any():  # its shares at the start are a guess
+                start[:] = 0.0
             error = max(np.abs(polynomial[-1] / scale).max(), np.abs(start / scale).max())
             factor = 0.9 * (self._tolerance / max(error, 1e-30)) ** (1.0 / (STAGES + 1))
             if error > self._tolerance:
                 step *= max(min(factor, 0.8), 0.2)
+                continue
+            part = self.surfaces.part(self.sides, self.heights)
+            if part < 1.0:
+                step *= part
                 continue
             self._accept(step, increments[-1], polynomial, end)
             self._slope = slope
@@ -141,9 +154,10 @@ class CollocationSteps:
             ahead = legendre.legvander(1.0 + 2.0 * NODES * step / self.step, STAGES)
             found = ahead @ self._polynomial - self._polynomial.sum(axis=0)
         times, slopes = self.time + NODES * step, np.empty_like(found)
-        before, slow = np.inf, 0
+        before, slow, self.sides = np.inf, 0, np.tile(self.surfaces.sides, (STAGES, 1))
         for k in range(ITERATIONS if self._inverse is None else NEWTON_ITERATIONS):
-            self.function(times, self.state + (self._carry + found), slopes)
+            self.heights = self.function(times, self.state + (self._carry + found), slopes, self.sides)
+            self.surfaces.correct(self.sides, slopes, self.heights, step)
             change = step * (MATRIX @ slopes) - found
             if self._inverse is not None:
                 change = (_OUT @ (self._inverse @ (_INTO @ change)[..., None])[..., 0]).real

@@ -2,8 +2,9 @@
 """Formulas of laws for the reference integration: Python's syntax tree in postfix order, for a stack machine.
 
 The scene has been checked, so no formula is wrong here. It shares nothing with forces/formulas.py. An instruction is
-(operation, argument): LOAD and STORE have the number of a value, PUSH that of a number, TABLE that of a table. The
-others replace their operands on top of the stack by their result; a condition is 1 or 0.
+(operation, argument): LOAD and STORE have the number of a value, PUSH that of a number, TABLE that of a table, and < <=
+> >= 1 plus that of their surface a = b, negative with b and a exchanged. The others replace their operands on top of
+the stack by their result; a condition is 1 or 0, or a share between them where the motion slides along a surface.
 """
 
 import ast
@@ -25,10 +26,12 @@ class Postfix:
     """Instructions of formulas, one after another.
 
     code : [(operation, argument)];  numbers : [float];  tables : [(x, y)];  deepest : largest size of the stack
+    surfaces : {operands a, b: number}
     """
 
     def __init__(self):
         self.code, self.numbers, self.tables, self.deepest, self._size = [], [], [], 0, 0
+        self.surfaces, self._conditions = {}, set()
 
     def add(self, text, names, tables, to):
         """Append a formula whose result is value number `to`.
@@ -36,8 +39,36 @@ class Postfix:
         names : {name: number of a value, or a float};  tables : {name: number of a table}
         """
         self._names, self._tables = _NUMBERS | names, tables
-        self._walk(ast.parse(text, mode="eval").body)
+        node = ast.parse(text, mode="eval").body
+        self._walk(node)
+        if self._is_condition(node):
+            self._conditions.add(to)
         self._do(STORE, to, 1, 0)
+
+    def _is_condition(self, node):
+        if isinstance(node, ast.Name):
+            return self._names[node.id] in self._conditions
+        is_not = isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not)
+        return is_not or isinstance(node, (ast.Compare, ast.BoolOp))
+
+    def _condition(self, node):
+        """As `_walk`, of a number whether it is not zero."""
+        self._walk(node)
+        if not self._is_condition(node):
+            self._push(0.0)
+            self._do(_BINARY[ast.NotEq], 0, 2)
+
+    def _surface(self, op, *operands):
+        """Argument of a comparison."""
+        if isinstance(op, (ast.Eq, ast.NotEq)):
+            return 0
+        keys = []
+        for node in operands:
+            names = {each.id for each in ast.walk(node) if isinstance(each, ast.Name)}
+            known = [(name, self._names.get(name, self._tables.get(name))) for name in sorted(names)]
+            keys.append(f"{ast.unparse(node)} {known}")
+        number = 1 + self.surfaces.setdefault(tuple(sorted(keys)), len(self.surfaces))
+        return number if keys == sorted(keys) else -number
 
     def _do(self, operation, argument, takes, gives=1):
         self.code.append((operation, argument))
@@ -58,22 +89,28 @@ class Postfix:
             else:
                 self._do(LOAD, known, 0)
         elif isinstance(node, ast.UnaryOp):
-            self._walk(node.operand)
+            (self._condition if isinstance(node.op, ast.Not) else self._walk)(node.operand)
             if not isinstance(node.op, ast.UAdd):
                 self._do(_UNARY[type(node.op)], 0, 1)
         elif isinstance(node, ast.BinOp):
             self._apply(_BINARY[type(node.op)], node.left, node.right)
         elif isinstance(node, ast.BoolOp):
-            self._apply(_BINARY[type(node.op)], *node.values)
+            self._condition(node.values[0])
+            for other in node.values[1:]:
+                self._condition(other)
+                self._do(_BINARY[type(node.op)], 0, 2)
         elif isinstance(node, ast.Compare):
             values = node.left, *node.comparators
             for k, op in enumerate(node.ops):
-                self._apply(_BINARY[type(op)], values[k], values[k + 1])
+                self._walk(values[k])
+                self._walk(values[k + 1])
+                self._do(_BINARY[type(op)], self._surface(op, values[k], values[k + 1]), 2)
                 if k > 0:
                     self._do(_BINARY[ast.And], 0, 2)
         elif isinstance(node, ast.IfExp):
-            for part in (node.body, node.orelse, node.test):
-                self._walk(part)
+            self._walk(node.body)
+            self._walk(node.orelse)
+            self._condition(node.test)
             self._do(CHOOSE, 0, 3)
         else:
             self._call(node.func.id, node.args)
@@ -116,7 +153,7 @@ def _interpolated(first, points, number, x):
 def _unary(operation, a):
     if operation < 15:
         if operation < 12:
-            return -a if operation == 10 else 1.0 * (a == 0.0)
+            return -a if operation == 10 else 1.0 - a
         return np.sin(a) if operation == 12 else (np.cos(a) if operation == 13 else np.tan(a))
     if operation < 18:
         return np.arcsin(a) if operation == 15 else (np.arccos(a) if operation == 16 else np.arctan(a))
@@ -131,9 +168,7 @@ def _comparison(operation, a, b):
         below = a < b if operation == 38 else a <= b
         above = a > b if operation == 40 else a >= b
         return below if operation < 40 else above
-    if operation < 44:
-        return a == b if operation == 42 else a != b
-    return a != 0.0 and b != 0.0 if operation == 44 else a != 0.0 or b != 0.0
+    return a == b if operation == 42 else a != b
 
 
 @kernel
@@ -144,12 +179,18 @@ def _binary(operation, a, b):
         return a / b if operation == 33 else (a**b if operation == 34 else np.arctan2(a, b))
     if operation < 38:
         return np.minimum(a, b) if operation == 36 else np.maximum(a, b)
-    return 1.0 * _comparison(operation, a, b)
+    if operation < 44:
+        return 1.0 * _comparison(operation, a, b)
+    return a * b if operation == 44 else a + b - a * b
 
 
 @subroutine
-def evaluate(code, numbers, first, points, stack, values):
-    """Execute instructions (p, 2) on values (m,); the points of table k are points[first[k]:first[k + 1]]."""
+def evaluate(code, numbers, first, points, stack, values, sides, heights):
+    """Execute instructions (p, 2) on values (m,); the points of table k are points[first[k]:first[k + 1]].
+
+    sides   : (c,) shares of a < b of all surfaces; infinite: a and b decide
+    heights : (c,) a - b, written
+    """
     top = -1
     for i in range(len(code)):
         operation, argument = code[i, 0], code[i, 1]
@@ -163,9 +204,18 @@ def evaluate(code, numbers, first, points, stack, values):
             stack[top] = _interpolated(first, points, argument, stack[top])
         elif operation == CHOOSE:
             top -= 2
-            stack[top] = stack[top] if stack[top + 2] != 0.0 else stack[top + 1]
+            share = stack[top + 2]
+            if share == 0.0:
+                stack[top] = stack[top + 1]
+            elif share != 1.0:
+                stack[top] = share * stack[top] + (1.0 - share) * stack[top + 1]
         elif operation < 30:
             stack[top] = _unary(operation, stack[top])
         else:
             top -= 1
-            stack[top] = _binary(operation, stack[top], stack[top + 1])
+            a, b, k = stack[top], stack[top + 1], abs(argument) - 1
+            stack[top] = _binary(operation, a, b)
+            if k >= 0:
+                heights[k] = a - b if argument > 0 else b - a
+                if sides[k] < np.inf:
+                    stack[top] = sides[k] if (argument > 0) == (operation < 40) else 1.0 - sides[k]

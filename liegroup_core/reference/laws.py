@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from liegroup_core.compiling import kernel, subroutine
 
 from .formulas import Postfix, evaluate
+from .sliding import FREE
 from .vectors import (
     FRAME,
     add_force,
@@ -58,7 +59,7 @@ class LawLoads(NamedTuple):
     held: np.ndarray  # (h,) these values
     states: np.ndarray  # (s, 2) numbers of the values of a state and of its rate
     scales: np.ndarray  # (s,) magnitudes of the states
-    sizes: np.ndarray  # (2,) numbers of values and of places of the stack
+    sizes: np.ndarray  # (3,) numbers of values, of places of the stack and of surfaces
 
 
 class PeriodicLaw(NamedTuple):
@@ -221,6 +222,7 @@ def build_laws(scene, index, joints, frames, angles, servos):
         times = _exact(law.period), _exact(law.delay)
         reads = read, read_at, read_angle
         sampled.append(PeriodicLaw(*times, reads, program, found, first, len(outputs), waiting, noisy))
+    programs = continuous, *(each.program for each in sampled)
     loads = LawLoads(
         **_program(own_reads, continuous),
         acts=np.array(acts, dtype=int).reshape(-1, 4),
@@ -229,7 +231,7 @@ def build_laws(scene, index, joints, frames, angles, servos):
         held=np.array(held, dtype=float),
         states=np.array(states, dtype=int).reshape(-1, 2),
         scales=np.array([each.scale for law in laws_of(scene) if law.period is None for each in law.states.values()]),
-        sizes=np.array([count, max(each.deepest for each in (continuous, *(each.program for each in sampled)))]),
+        sizes=np.array([count, max(each.deepest for each in programs), len(continuous.surfaces)]),
     )
     return loads, sampled
 
@@ -292,10 +294,10 @@ def _read(laws, state, frame, angle, values):
 
 
 @subroutine
-def set_values(laws, time, state, frame, angle, stack, values):
+def set_values(laws, time, state, frame, angle, stack, values, sides, heights):
     """Write all values at a state.
 
-    state : (n, 13), see vectors.place;  angle : see `add_laws`
+    state : (n, 13), see vectors.place;  angle : see `add_laws`;  sides, heights : see formulas.evaluate
     stack, values : scratch memory of the sizes of the laws
     """
     for j in range(len(laws.held)):
@@ -305,7 +307,7 @@ def set_values(laws, time, state, frame, angle, stack, values):
     for s in range(len(laws.states)):
         values[laws.states[s, 0]] = angle[first + s]
     _read(laws, state, frame, angle, values)
-    evaluate(laws.code, laws.numbers, laws.first, laws.points, stack, values)
+    evaluate(laws.code, laws.numbers, laws.first, laws.points, stack, values, sides, heights)
 
 
 @subroutine
@@ -353,8 +355,12 @@ class HeldValues:
         first = min(found, default=np.inf)
         return first / NS if first < end * NS - 0.5 else end
 
-    def meet(self, time, state):
-        """Change the held values at a time in s, in a state as of rigid_body_dae.rates."""
+    def meet(self, time, state, sides=None):
+        """Change the held values at a time in s, in a state and with sides (c,) as of rigid_body_dae.rates.
+
+        sides : None at the start: the arguments of comparisons decide
+        """
+        sides = np.full(self.loads.sizes[2], FREE) if sides is None else sides
         now, held = round(time * NS), self.loads.held
         for law in self._laws:
             if law.waiting and self._next(law, self._starts(law), now - 1) == now:
@@ -368,11 +374,12 @@ class HeldValues:
         stack, values = np.empty(self.loads.sizes[1]), np.empty(self.loads.sizes[0])
         for law, own in zip(self._laws, self._own):
             if self._next(law, 0, now - 1) == now:
-                set_values(self.loads, time, bodies, frame, angle, stack, values)
+                set_values(self.loads, time, bodies, frame, angle, stack, values, sides, np.empty_like(sides))
                 _read(own, bodies, frame, angle, values)
                 for number, sensor, k in law.noisy:
                     values[number] += sensor.noise_at(now)[k]
-                evaluate(own.code, own.numbers, own.first, own.points, stack, values)
+                free = np.full(len(law.program.surfaces), FREE)
+                evaluate(own.code, own.numbers, own.first, own.points, stack, values, free, np.empty_like(free))
                 found = values[law.found]
                 shown = len(found) - law.outputs
                 held[law.first : law.first + shown] = found[:shown]

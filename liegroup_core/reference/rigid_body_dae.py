@@ -138,7 +138,7 @@ def _set_matrix(system, chosen, rows, frame, moved, matrix):
 
 
 @subroutine
-def rates(system, chosen, times, given, states, wrench, out):
+def rates(system, chosen, times, given, states, wrench, out, sides, heights):
     """Compute the time derivatives of p states; NaN where the accelerations are not determined.
 
     times  : (p,) s
@@ -146,6 +146,7 @@ def rates(system, chosen, times, given, states, wrench, out):
     states : (p, 13 n + t)
     wrench : (n, LOADS) external wrenches, see loads.add_loads
     out    : (p, 13 n + t)
+    sides, heights : (p, c), see formulas.evaluate
     returns the smallest ratio of a pivot of the matrix and its diagonal entry: 1 if no row is near others, 0 if
     one depends on them
     """
@@ -162,7 +163,7 @@ def rates(system, chosen, times, given, states, wrench, out):
         state, angle = states[p, :turns].reshape(n, STATE), states[p, turns:]
         force[:] = 0.0
         place(state, frame)
-        set_values(system.laws, times[p], state, frame, angle, stack, values)
+        set_values(system.laws, times[p], state, frame, angle, stack, values, sides[p], heights[p])
         set_targets(system.laws, values, system.loads.turn_law, system.loads.slide_law)
         add_loads(system.loads, system.mass, frame, angle, wrench, force, out[p, turns:])
         add_laws(system.laws, frame, angle, values, force, out[p, turns:])

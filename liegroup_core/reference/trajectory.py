@@ -377,7 +377,7 @@ class _Run:
                 return False
             begin, end, *given = self._pending.pop(0)
             if self._solver is not None:
-                self.sampling.meet(begin, self._state)
+                self.sampling.meet(begin, self._state, self._solver.surfaces.sides)
             change = self.sampling.before(begin, end)
             if change < end:
                 self._pending.insert(0, (change, end, *given))
@@ -388,6 +388,9 @@ class _Run:
         solver = self._solver
         self.steps_taken += 1
         moves = solver.advance(self._end)
+        if solver.surfaces.after(solver, moves):
+            solver.restart()
+            moves = True
         self._state, self.reached = solver.state, solver.time
         rows, gap = unit_rows(self._system, self._state, self._given(self.reached))
         gap = np.abs(gap).max(initial=0.0)
@@ -422,14 +425,20 @@ class _Run:
         self._driving, self._end = driving, end
         system = system._replace(laws=self.sampling.loads)
 
-        def function(times, states, out):
+        def function(times, states, out, sides=None):
             given = np.stack([self._given(time) for time in times])
-            self._pivot = rates(system, self._chosen, times, given, states, wrench, out)
+            sides = np.tile(self._solver.surfaces.sides, (len(times), 1)) if sides is None else sides
+            heights = np.zeros_like(sides)
+            self._pivot = rates(system, self._chosen, times, given, states, wrench, out, sides, heights)
+            return heights
 
         if self._solver is None:
             self._chosen, self._rank = _independent(system, unit_rows(system, self._state, self._given(begin))[0])
             self._pivot_of_choice = None
-            self._solver = CollocationSteps(function, self._scales, begin, self._state, self._rtol)
+            self._solver = CollocationSteps(
+                function, self._scales, begin, self._state, self._rtol, int(system.laws.sizes[2])
+            )
+            self._solver.surfaces.start(self._solver)
         self._function = self._solver.function = function
         self._solver.restart()
 

@@ -132,7 +132,8 @@ def by_reference(text, values):
     program.add(text, {name: k for k, name in enumerate(NAMES)}, {"table": 0}, len(NAMES))
     code, numbers = np.array(program.code), np.array(program.numbers, dtype=float)
     found, stack = np.array([*values, 0.0]), np.empty(program.deepest)
-    by_stack(code, numbers, np.array([0, len(TABLE[0])]), np.transpose(TABLE), stack, found)
+    free = np.full(len(program.surfaces), np.inf)
+    by_stack(code, numbers, np.array([0, len(TABLE[0])]), np.transpose(TABLE), stack, found, free, free.copy())
     return found[-1]
 
 

@@ -9,8 +9,9 @@ import scipy
 from numpy.testing import assert_allclose
 
 from liegroup_core import Simulation, SimulationError, load_scene
-from liegroup_core.linear import sensitivities
-from liegroup_core.linear.linear_system import linearise
+from liegroup_core.identification import Given, Log, Measured, identify
+from liegroup_core.linear import inverse_dynamics, linearise, sensitivities, transition, trim
+from liegroup_core.reference.trajectory import WrenchSpan, integrate
 from liegroup_core.scene.load import scene_from_text
 
 START = 0.3  # m, of the cart of 1 kg: its acceleration is the effort
@@ -192,17 +193,22 @@ def test_methods_keep_their_tolerance_along_surfaces(method, name):
         assert np.abs(np.subtract(end_of(simulation, 2.0), known(2.0))).max() <= 10 * tolerance
 
 
-def test_two_surfaces_share_what_laws_exert():
-    """At rest s - r/2 = 0 and r - s/2 = 0.3 t for the shares s, r of both signs; r is 1 after 2.5 s."""
+def two_carts():
+    """At rest s - r/2 = 0 and r - s/2 = 0.3 t / mu for the shares s, r of both signs; r is 1 after 2.5 mu s."""
     scene = scene_from_text(RAIL, "test")
     other, rail = scene.bodies[0].remade(name="other"), scene.joints[0].remade(name="next", child="other")
     law = {
-        "type": "law", "name": "own", "inputs": {"v": "rail.velocity", "w": "next.velocity"},
+        "type": "law", "name": "own", "inputs": {"v": "rail.velocity", "w": "next.velocity"}, "parameters": {"mu": 1.0},
         "signals": {"s": "(v > 0) - (v < 0)", "r": "1 if w > 0 else -1"},
-        "outputs": [{"joint": "rail", "effort": "r/2 - s"}, {"joint": "next", "effort": "s/2 - r + 0.3*t"}],
+        "outputs": [
+            {"joint": "rail", "effort": "mu*(r/2 - s)"}, {"joint": "next", "effort": "mu*(s/2 - r) + 0.3*t"},
+        ],
     }  # fmt: skip
-    scene = scene.remade(bodies=[scene.bodies[0], other], joints=[scene.joints[0], rail], forces=[law])
-    simulation = Simulation(scene, accuracy=1e-9, quiet=True)
+    return scene.remade(bodies=[scene.bodies[0], other], joints=[scene.joints[0], rail], forces=[law])
+
+
+def test_two_surfaces_share_what_laws_exert():
+    simulation = Simulation(two_carts(), accuracy=1e-9, quiet=True)
     simulation.advance_to(1.3)
     assert_allclose(list(simulation.sample().signals.values()), (0.26, 0.52), atol=1e-9)
     simulation.advance_to(4.0)
@@ -248,11 +254,149 @@ def test_a_sign_of_a_rate_is_dry_friction(name, size):
     assert held
 
 
-def test_a_state_on_a_surface_has_no_derivatives():
-    simulation = Simulation(cart("-1 if v > 0 else 1", velocity=1.0), accuracy=1e-6, quiet=True)
+@pytest.mark.parametrize("name", SLIDES)
+def test_the_reference_slides_in_its_own_way(name):
+    """Errors of 1e-13 in each of some 100 steps, most of them where it finds the surface."""
+    law, known, _ = SLIDES[name]
+    simulation = Simulation(cart(**law), "rkmk4", 0.01, quiet=True)
+    (times, _, position, twist), error = integrate(simulation.scene, *simulation.state(), [1.5, 2.0])
+    found = position[:, 0, 2], twist[:, 0, 5]
+    assert_allclose(np.transpose(found)[1], known(2.0), atol=1e-11)
+    assert max(each.max() for each in error) < 1e-11
+
+
+def test_the_reference_leaves_surfaces_at_shares_and_forces():
+    """Two surfaces, of which one is left; a push of 2 N against friction of 1 N, which stops the cart again."""
+    simulation = Simulation(two_carts(), "rkmk4", 0.01, quiet=True)
+    found = integrate(simulation.scene, *simulation.state(), [4.0])[0].position[0, :, 2]
+    assert_allclose(found, (0.3, 0.3 + 0.05 * 1.5**3), atol=1e-11)
+    simulation = Simulation(cart(f"-{SIDE}"), "rkmk4", 0.01, quiet=True)
+    push = WrenchSpan(0.5, 1.0, "cart", (0.0, 0.0, 0.0, 0.0, 0.0, 2.0))
+    found = integrate(simulation.scene, *simulation.state(), [0.5, 1.0, 1.5, 3.0], [push])[0].position[:, 0, 2]
+    assert_allclose(found - START, (0.0, 0.125, 0.25, 0.25), atol=1e-11)
+
+
+def at_2_s(name):
+    simulation = Simulation(cart(**SLIDES[name][0]), accuracy=1e-9, quiet=True)
     simulation.advance_to(2.0)
+    return simulation
+
+
+@pytest.mark.parametrize("name, states, A", [
+    ("stops", ["rail"], [[0.0]]), ("sliding mode", ["rail"], [[-2.0]]), ("not affine", ["rail"], [[0.0]]),
+    ("state", ["rail", "rail.rate"], [[0.0, 1.0], [0.0, 0.0]]),
+])  # fmt: skip
+def test_a_motion_on_a_surface_has_a_state_less(name, states, A):
+    """v = 0, v = -2 q, or x = 0; the rest is linear, and what is 1.5 s later follows."""
+    simulation = at_2_s(name)
+    found = linearise(simulation)
+    assert list(found.states) == states
+    assert_allclose(found.A, A, atol=1e-12)
+    assert_allclose(transition(simulation, 1.5).phi, scipy.linalg.expm(1.5 * np.array(A)), atol=1e-9)
+
+
+def test_outputs_and_inputs_of_a_motion_on_a_surface():
+    """v = -2 q needs the effort 4 q, whatever another one is."""
+    found = linearise(at_2_s("sliding mode"), ["rail.effort"], ["rail.velocity", "rail.power", "own.power"])
+    assert_allclose(found.B, 0.0, atol=1e-12)
+    assert_allclose(found.C[0], -2.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("name, other", [("stops", "rail"), ("breaks away", None)])
+def test_a_run_whose_states_on_surfaces_change_has_no_transition(name, other):
+    simulation = Simulation(cart(**SLIDES[name][0]), accuracy=1e-9, quiet=True)
+    simulation.advance_to(0.5)
+    with pytest.raises(SimulationError, match="laws hold other joints at the end"):
+        transition(simulation, 1.2)
+
+
+@pytest.mark.parametrize(
+    "function", [trim, lambda simulation: inverse_dynamics(simulation, *np.zeros((4, 1)), ["rail"])]
+)
+def test_what_needs_a_state_beside_surfaces_says_so(function):
     with pytest.raises(SimulationError, match="slides along a comparison of the law own at t = 2 s"):
-        linearise(simulation)
+        function(at_2_s("stops"))
+
+
+def test_a_cart_that_is_set_beside_its_surface_slides_no_more():
+    simulation = at_2_s("stops")
+    simulation.place(joints={"rail": (0.0, 1.0)})
+    assert simulation.sample().law_efforts["rail"] == -1.0
+    assert_allclose(end_of(simulation, 2.5), (0.375, 0.5), atol=1e-9)
+
+
+def mode(c, time):
+    """(q, v) of the cart that 5 N drive to v = -c q."""
+    at = (-5.0 + (25.0 + 10.0 * c * c * START) ** 0.5) / (5.0 * c)
+    q = (START - 2.5 * at**2) * np.exp(-c * (time - at))
+    return q, -c * q
+
+
+# {name: (law, number, times, derivatives of (q, v) by it)}, complex steps of closed forms among them.
+DERIVATIVES = {
+    # v = 1 - mu t, and q = 0.3 + 1 / (2 mu) from 1 / mu on
+    "stops": ({"effort": "-mu*(1 if v > 0 else -1)", "velocity": 1.0}, 1.25, lambda p, t:
+              (-0.5 * t * t, -t) if t < 0.8 else (-0.5 / p**2, 0.0)),
+    # leaves at t = 2 mu
+    "breaks away": ({"effort": f"t/2 - mu*{SIDE}"}, 0.4, lambda p, t:
+                    (0.0, 0.0) if t < 0.8 else (-0.5 * (t - 2.0 * p) ** 2, 2.0 * p - t)),
+    "surface": ({"effort": "5 if not v + mu*q > 0 else -5"}, 2.0, lambda p, t: np.imag(mode(p + 1e-30j, t)) / 1e-30),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", DERIVATIVES)
+def test_sensitivities_pass_motions_on_surfaces(name):
+    law, value, known = DERIVATIVES[name]
+    scene, times = cart(**law, parameters={"mu": value}), [0.5, 1.1, 2.0]
+    found = sensitivities(scene, ["own.parameters.mu"], times, ["rail.position", "rail.velocity"])
+    assert_allclose(found.derivatives[:, :, 0], [known(value, time) for time in times], atol=1e-9)
+    assert found.errors.max() < 1e-9 and not found.rough
+
+
+def test_sensitivities_by_a_start_that_a_surface_takes_back():
+    """The cart at rest under friction of 0.5 N comes to rest at once if it moves."""
+    names = ["cart.linear_velocity.2", "cart.position.2"]
+    found = sensitivities(cart(f"t/2 - {SIDE}/2"), names, [0.5, 2.0], ["cart.z"])
+    assert_allclose(found.derivatives[:, 0], [[0.0, 1.0], [0.0, 1.0]], atol=1e-9)
+    assert found.errors.max() < 1e-9 and not found.rough
+
+
+def test_sensitivities_of_two_surfaces():
+    """One is left at 2.5 mu, and the cart then has w' = 0.3 (t - 2.5 mu)."""
+    found = sensitivities(two_carts(), ["own.parameters.mu"], [2.0, 4.0], ["rail.position", "next.position"])
+    assert_allclose(found.derivatives[:, :, 0], [[0.0, 0.0], [0.0, -0.375 * 1.5**2]], atol=1e-9)
+
+
+def braked(efforts, step, friction):
+    """(k + 1, 2) q and v of the cart at rest, under dry friction and efforts (k,) N of one step each, in s."""
+    q, v, found = START, 0.0, [(START, 0.0)]
+    for effort in efforts:
+        left = step
+        while left > 0.0:
+            side = np.sign(v) if v else np.sign(effort) * (abs(effort) > friction)
+            a = (effort - friction * side) * (side != 0.0)
+            end = min(left, -v / a) if v * a < 0.0 else left
+            q, v, left = q + v * end + 0.5 * a * end**2, v + a * end if end == left else 0.0, left - end
+        found.append((q, v))
+    return np.array(found)
+
+
+def test_friction_of_a_law_is_identified_where_it_holds_the_cart():
+    """Of 0.7 N, from a log in which the cart rests four times; the interval of four deviations covers it.
+
+    If the law were not known to hold, the deviation would be four times too small and the value outside.
+    """
+    step = 0.01
+    t = step * np.arange(300)
+    efforts = 1.2 * np.sin(1.6 * np.pi * t) + 0.3 * np.sin(9.0 * t)
+    true, noise = braked(efforts, step, 0.7), np.array([1e-4, 1e-3])
+    assert (true[:, 1] == 0.0).mean() > 0.1
+    values = true + np.random.default_rng(1).normal(0.0, noise, true.shape)
+    outputs = "rail.position", "rail.velocity"
+    log = Log((Given("rail.effort", t, efforts),), (Measured("m", np.append(t, 3.0), outputs, values, noise, 0.0),))
+    scene = cart("-mu*(1 if v > 0 else -1)", parameters={"mu": 0.5})
+    found = identify(scene, log, ["own.parameters.mu"], workers=1)
+    assert found.comparison.agrees and abs(found.values[0] - 0.7) < 4.0 * found.deviations[0] < 1e-3
 
 
 def test_a_state_that_is_set_finds_its_branch():

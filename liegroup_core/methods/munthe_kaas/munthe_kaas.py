@@ -55,7 +55,8 @@ class MuntheKaas:
         self._truncated = options.get("dexpinv") == "truncated"
         stages = 1 if method.implicit else len(method.tableau.b)
         # A step without error control may be too long for a branch that goes on beyond its end.
-        self._model, self._work, self.work = model_and_work(layout, group, options, stages, method.controlled)
+        locates = method.controlled or options.get("locates", False) and len(layout.model.forces.laws.surfaces) > 0
+        self._model, self._work, self.work = model_and_work(layout, group, options, stages, locates)
         self._blocks = stages + 1 + FURTHER
         self._control = SubstepControl.make()
         self._control.most[0], self._control.length[0] = MOST_SUBSTEPS, 1.0
