@@ -33,6 +33,7 @@ from liegroup_core.dynamics.switches import (
 )
 from liegroup_core.forces.formulas import OPEN
 from liegroup_core.forces.law import branch_matters, branch_of, distances_in, is_shared, may_be_beyond, next_branch
+from liegroup_core.lie.vec3 import dot3, load3, load9, matvec3, sub3
 from liegroup_core.mechanism.arrays import COORDINATE, NODES, RESTS, SIDE, SLIP
 
 NONE = -1.0  # in Work.crossed: the guard is not crossed
@@ -151,14 +152,21 @@ def _gives_way(weights, course, k, c, start):
             low, high = min(low, course[row, k, c - LEAST]), max(high, course[row, k, c - LEAST])
     if low + high > FAR * weights[2, 0, 0] * (high - low):
         return place, least
-    for i in range(PARTS - 1):
-        guard, other = 0.0, 0.0
-        for row in range(NODES):
-            guard += weights[0, i, row] * course[row, k, c - LEAST]
-            other += weights[1, i, row] * course[row, k, c - LEAST]
-        guard -= abs(guard - other) + start
-        if guard < least:
-            place, least = (i + 1) / PARTS, guard
+    after = course[START, k, c - LEAST] - start
+    before, now = after, after
+    for i in range(PARTS):
+        before, now, after = now, after, course[END, k, c - LEAST] - start
+        if i < PARTS - 1:
+            after, other = 0.0, 0.0
+            for row in range(NODES):
+                after += weights[0, i, row] * course[row, k, c - LEAST]
+                other += weights[1, i, row] * course[row, k, c - LEAST]
+            after -= abs(after - other) + start
+            if after < least:
+                place, least = (i + 1) / PARTS, after
+        slope, bend = 0.5 * (after - before), after - 2.0 * now + before
+        if i > 0 and abs(slope) < bend and now - 0.5 * slope * slope / bend < least:
+            place, least = (i - slope / bend) / PARTS, now - 0.5 * slope * slope / bend
     return place, least
 
 
@@ -254,12 +262,37 @@ def first_place(model, work):
 
 
 @kernel
+def _longest(model, work, at):
+    """Longest step in s from the guards in a row of Work.course on in which no contact of two bodies is passed.
+
+    At the speed of the stage they go as far as to touch, and as deep as they can be at least.
+    """
+    laws, longest = model.space.forces.laws, math.inf
+    pose, twist = work.space.stage_pose, work.space.stage_twist
+    for j in range(len(laws.closing) if len(work.branches) > 0 else 0):
+        row = laws.closing[j]
+        k, a, b = row["kink"], row["bodies"][0], row["bodies"][1]
+        gap = work.course[at, len(model.switches) + k, 1 if work.branches[k] == OPEN else 0]
+        away = sub3(matvec3(load9(pose, a, 0), load3(twist, a, 3)), matvec3(load9(pose, b, 0), load3(twist, b, 3)))
+        turn, other = load3(twist, a, 0), load3(twist, b, 0)
+        speed = math.sqrt(dot3(away, away))
+        speed += row["reach"][0] * math.sqrt(dot3(turn, turn)) + row["reach"][1] * math.sqrt(dot3(other, other))
+        if speed > 0.0:
+            longest = min(longest, (max(gap, 0.0) + row["size"]) / speed)
+    return longest
+
+
+@kernel
 def crossed(model, work, h, weights):
     """Whether a guard is crossed in the step of size h that ends at the stage; writes where to work.crossed.
 
-    AGAIN: the step is to be taken again. A branch whose end is crossed without effect at the end of the step is OPEN
-    from now on: what it does in between, and where branches behind it change, are seen with the branches of all stages.
+    AGAIN: the step is to be taken again, not longer than Work.pace: two bodies may have passed each other. Or a branch
+    whose end is crossed without effect at the end of the step is OPEN from now on: what it does in between, and where
+    branches behind it change, are seen with the branches of all stages.
     """
+    work.pace[0] = _longest(model, work, START)
+    if h > work.pace[0]:
+        return AGAIN
     found, again = False, False
     for k in range(len(model.switches)):
         switch, guards, places = model.switches[k], work.guards, work.crossed
@@ -330,4 +363,5 @@ def crossed(model, work, h, weights):
     for k in range(len(work.branches)):
         if work.branches[k] == OPEN:
             _close_branch(work, weights, k, len(model.switches) + k)
+    work.pace[0] = _longest(model, work, END)
     return CROSSED if found else CALM

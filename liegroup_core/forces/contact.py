@@ -347,20 +347,21 @@ def _state(rate, scale=1.0):
 class _Formulas:
     """Formulas of the law of a contact.
 
-    normals : [name] of the normal force of each point;  arms : [(body, arm (3,))] of each output
+    normals, depths : [name] of the normal force and of the depth of each point
+    arms    : [(body, arm (3,))] of each output
     yields  : [name] of what is positive where a point that presses slips, "" without friction
     """
 
     def __init__(self, name, numbers, load):
         self._name, self._numbers, self._load = name, numbers, load
         self._inputs, self._signals, self._states, self._outputs = {}, {}, {}, []
-        self.normals, self.yields, self.arms, self._depths, self._powers, self._near = [], [], [], [], [], ""
-        self._follows, self.is_geometry = set(), False
+        self.normals, self.yields, self.arms, self.depths, self._powers, self._near = [], [], [], [], [], ""
+        self._follows, self.is_geometry, self.closing = set(), False, []
 
     @property
     def law(self):
         """The Law. What others can read: the sum of normal forces in N, the largest depth in m, the work in J."""
-        deepest = self._depths[0] if len(self._depths) == 1 else f"max({', '.join(self._depths)})"
+        deepest = self.depths[0] if len(self.depths) == 1 else f"max({', '.join(self.depths)})"
         shown = {"normal_force": _plus(*self.normals), "depth": deepest}
         power = _plus(*self._powers)
         if self._near:
@@ -373,7 +374,7 @@ class _Formulas:
             signals=self._signals | shown,
             outputs=tuple(self._outputs),
         )
-        law._jumps, law._follows = False, self._follows
+        law._jumps, law._follows, law._closing = False, self._follows, self.closing
         return law
 
     def let(self, text):
@@ -414,7 +415,7 @@ class _Formulas:
         part : change of the depth by one of the point along the normal
         """
         depth, leaving = self.let(depth), self.let(leaving)
-        self._depths.append(depth)
+        self.depths.append(depth)
         self._pushes = pushes = f"{self._near}{depth} > 0 and damping*{leaving} < 1"
         force = self.let(f"{_times(f'(stiffness*{depth}*(1 - damping*{leaving}))', part)} if {pushes} else 0")
         self.normals.append(force)
@@ -476,6 +477,8 @@ def _corners(shape):
 def _around(shape):
     """Middle of a shape in the body frame, and the radius of a sphere around it, m."""
     place = np.array(shape.position)
+    if shape.type == "sphere":
+        return place, shape.radius
     if shape.type == "capsule":
         return place, shape.radius + 0.5 * shape.length
     if shape.type in ("cylinder", "rod"):
@@ -659,6 +662,9 @@ def _touch_each_other(found, bodies, shapes, short):
     found.is_geometry = False
     for point in points:
         _touch_at(found, bodies, shapes, *point)
+    reach = [np.linalg.norm(shape.position) + _around(shape)[1] for shape in shapes]
+    size = sum(0.5 * min(shape.size) if shape.type == "box" else shape.radius for shape in shapes)
+    found.closing = [(depth, bodies, reach, size) for depth in found.depths]
     return found
 
 

@@ -93,6 +93,9 @@ OUTPUT = np.dtype(
     ],
     align=True,
 )
+# Points of contact of two bodies: kink of the comparison of their depth with zero; m, from the origin of each body to
+# the farthest point of its shape, and how deep they can be at least.
+CLOSING = np.dtype([("kink", "i8"), ("bodies", "i8", (2,)), ("reach", "f8", (2,)), ("size", "f8")], align=True)
 ORIGIN = (0.0, 0.0, 0.0)
 WITNESS = 1  # register of the last result that was not finite: its number from 1 on, and the time
 LAW_TIME = 3  # register of the time in formulas
@@ -116,6 +119,7 @@ class Laws(Struct):
     points: np.ndarray  # (n, 2) their points
     outputs: np.ndarray  # (o,) of OUTPUT
     owners: np.ndarray  # (o,) number of the law of each output
+    closing: np.ndarray  # (c,) of CLOSING
     results: np.ndarray  # (r,) registers of outputs and of rates of states, of all continuous laws
     signals: np.ndarray  # (w,) registers of their signals; 0: not computed at any time
     # (s, 3) registers of the value and of the rate of each state; of the condition under which anything reads it, or
@@ -275,6 +279,7 @@ class Law(Force):
     )
 
     _jumps: bool = PrivateAttr(True)
+    _closing: list = PrivateAttr([])  # [(signal of a depth, *CLOSING of it)]
     _follows: set = PrivateAttr(set())  # signals whose branches are always those of their arguments
 
     @model_validator(mode="after")
@@ -760,6 +765,12 @@ def make_laws(described, index, ends, angles, slides, first, sensors=()):
             elif each.body is not None:
                 outputs.append((index[each.body], own, each.axes == "world", each.point, -1, *NO_AXIS))
         owners += [number] * (len(outputs) - len(owners))
+    kink_of = {each: k for k in program.compared for each in program.code[program.kinks[k, 0], 2:4].tolist()}
+    closing = [
+        (kink_of[compiled.signals[depth]], [index[body] for body in bodies], reach, size)
+        for law, compiled in zip(program.laws, program.compiled)
+        for depth, bodies, reach, size in law._closing
+    ]
     begins, points = table_arrays(program.tables)
     registers = np.zeros((len(all_registers), 2))
     registers[:, 0] = all_registers
@@ -777,6 +788,7 @@ def make_laws(described, index, ends, angles, slides, first, sensors=()):
         points=points,
         outputs=np.array(outputs, dtype=OUTPUT),
         owners=np.array(owners, dtype=np.int64),
+        closing=np.array(closing, dtype=CLOSING),
         results=np.array(results, dtype=np.int64),
         signals=np.array(shown, dtype=np.int64),
         states=np.array(states, dtype=np.int64).reshape(-1, 3),

@@ -37,6 +37,7 @@ from .ahead import (
 from .error_control import DIVIDED, judge, unlike
 from .steps import begin, check_end, close, count_turns, enter, find_event, leave, place, rest, store_slopes, watches
 
+SLOWER = 0.9  # part of the longest substep, that is repeated
 MOST_EQUAL = 2.0  # substeps up to a known change that are equal
 
 
@@ -86,10 +87,10 @@ def _accept_controlled(model, work, scheme, control, pose, twist, external):
 
 
 @kernel
-def _take_again(control, size):
-    """Let the next substep have the size of the last one; returns 0: its first stage is computed again."""
+def _take_again(work, control, size):
+    """Let the next substep have the size of the last one, or the pace; returns 0: its first stage is computed again."""
     control.accepted[0] -= 1.0
-    control.size[0] = size
+    control.size[0] = min(size, SLOWER * work.pace[0])
     return 0
 
 
@@ -166,7 +167,7 @@ def advance_controlled(model, work, scheme, h, steps, pose_in, twist_in, externa
                 continue
             seen = find_event(model, work, scheme, h - remaining, size) if watching else CALM
             if seen == AGAIN:
-                first = _take_again(control, size)
+                first = _take_again(work, control, size)
                 continue
             if seen == CROSSED:
                 status = EVENT
@@ -174,6 +175,8 @@ def advance_controlled(model, work, scheme, h, steps, pose_in, twist_in, externa
                 status = close(model, work, True)
             if status == OK:
                 first = _accept_controlled(model, work, scheme, control, pose, twist, external)
+                if watching:
+                    control.size[0] = min(control.size[0], work.pace[0])
                 remaining, planned = remaining - size if count > 1 else 0.0, planned - 1
         if status == OK:
             done += 1
@@ -300,7 +303,7 @@ def _go_ahead(model, work, scheme, steps, pose, twist, external, control):
             continue
         seen = find_event(model, work, scheme, 0.0, size) if watching else CALM
         if seen == AGAIN:
-            first = _take_again(control, size)
+            first = _take_again(work, control, size)
             control.fresh[0] = 0.0
             continue
         if seen == CROSSED:
@@ -319,6 +322,8 @@ def _go_ahead(model, work, scheme, steps, pose, twist, external, control):
             else:
                 keep_slopes(work)
         first = _accept_controlled(model, work, scheme, control, pose, twist, external)
+        if watching:
+            control.size[0] = min(control.size[0], work.pace[0])
         before = control.size[0]
         go_on(work, control, size, at_limit)
         remaining = time_left(work, control)
