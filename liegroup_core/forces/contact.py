@@ -17,7 +17,7 @@ slips: |z'| is bounded, and w has the direction of v if steps are below tau. Thi
 presses by its own weight: tau = 2 sqrt(s / (mu g)).
 It is written as formulas of a law (law.py), so touching, leaving, slip and stick are events of the methods with error
 control, and derivatives, snapshots, estimates and the reference integration are those of laws. A bristle keeps its
-place while nothing touches; that is at most the length s of slip.
+place while nothing touches; that is at most 1.6 times the length s.
 
 From a restitution e at the speed v of an impact follows c: with a = c v, a - ln(1 + a) = -e a - ln(1 - e a), which a
 free mass leaves with the speed e v whatever k and the mass are (Hunt and Crossley, J. Appl. Mech. 42, 1975).

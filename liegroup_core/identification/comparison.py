@@ -31,7 +31,8 @@ BY_CHANCE = 3.0 * 2.7
 # all but 1/G of what delays and numbers change: of what is left, the error is 1e-8 G^2, here 1e-2.
 PARTED = 1e3
 LONGEST = 0.01  # s, first longest step; it is halved until the errors are a small part of the noise
-OF_CONTACT = 0.25  # of the time in which a contact acts: four of its points are twice as fast
+# Of the time T in which a contact acts: one that begins within a step h changes the speed by (h / T)^2 / 8 too much.
+OF_CONTACT = 1.0 / 16.0
 PART = 0.1  # of the noise: largest error of the integration
 MOST_HALVES = 8
 RANGE, LAGS = 1.0, 41  # s, delays up to this are tried first; their number

@@ -613,3 +613,50 @@ def test_several_recordings_are_one_log():
     assert abs(both.values[0] - 0.165) < 4.0 * both.deviations[0] < 4.0 * min(each.deviations[0] for each in alone)
     low, high = sorted(each.values[0] for each in alone)
     assert low - both.deviations[0] < both.values[0] < high + both.deviations[0]
+
+
+CONTACT = """
+name: contact
+gravity: [0, 0, -9.81]
+bodies:
+  - {name: ball, shape: {type: sphere, radius: 0.1, mass: 2}, position: [0, 0, HEIGHT], linear_velocity: [SPEED, 0, 0]}
+forces:
+  - {name: floor, type: contact, body: ball, stiffness: STIFF, damping: DAMPS, friction: RUBS, slip: 1.0e-4}
+"""
+
+
+def ball_log(truth, seconds):
+    """(Scene with numbers, a log of its pose with a noise of 1 mm and 1 mrad)."""
+    text, rng, times = CONTACT, np.random.default_rng(1), np.arange(0.0, seconds + 1e-9, 0.01)
+    for key, value in truth.items():
+        text = text.replace(key, repr(value))
+    names = tuple(f"ball.{part}" for part in ("x", "y", "z", "rx", "ry", "rz"))
+    poses = [sample.pose[0] for sample in Simulation(scene_from_text(text), accuracy=1e-9, quiet=True).samples(times)]
+    turns = Rotation.from_matrix(np.array(poses)[:, :9].reshape(-1, 3, 3)).as_rotvec()
+    values = np.hstack([np.array(poses)[:, 9:], turns]) + 1e-3 * rng.normal(size=(len(times), 6))
+    return Log((), (Measured("/mocap", times, names, values, np.full(6, np.inf), delay=0.0),))
+
+
+@pytest.mark.parametrize(
+    "truth, wrong, names",
+    [
+        ({"HEIGHT": 0.1, "SPEED": 1.0, "STIFF": 2e5, "DAMPS": 1.0, "RUBS": 0.3}, {"RUBS": 0.35}, ["friction"]),
+        (
+            {"HEIGHT": 0.25, "SPEED": 0.0, "STIFF": 2e4, "DAMPS": 0.3, "RUBS": 0.0},
+            {"STIFF": 3e4, "DAMPS": 0.5},
+            ["stiffness", "damping"],
+        ),
+    ],
+    ids=["slides", "bounces"],
+)
+@pytest.mark.turn(2)
+def test_numbers_of_contacts_are_found(truth, wrong, names):
+    """A ball that slides until it rolls, within a depth of 0.1 mm below the noise; and one that bounces."""
+    text = CONTACT
+    for key, value in (truth | wrong).items():
+        text = text.replace(key, repr(value))
+    found = identify(scene_from_text(text), ball_log(truth, 0.5 if truth["SPEED"] else 1.0), names, workers=1)
+    true = np.array([truth[key] for key in wrong])
+    assert (np.abs(found.values - true) < 4.0 * found.deviations).all()
+    assert (found.deviations < 0.02 * true).all()
+    assert found.comparison.solution.reduced < 1.5
