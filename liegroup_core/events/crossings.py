@@ -263,9 +263,9 @@ def first_place(model, work):
 
 @kernel
 def _longest(model, work, at):
-    """Longest step in s from the guards in a row of Work.course on in which no contact of two bodies is passed.
+    """Longest step in s from the guards in a row of Work.course on, in which no contact of two bodies is overlooked.
 
-    At the speed of the stage they go as far as to touch, and as deep as they can be at least.
+    At the speed of the stage they go as far as to touch, and then as `closing` of the laws says.
     """
     laws, longest = model.space.forces.laws, math.inf
     pose, twist = work.space.stage_pose, work.space.stage_twist

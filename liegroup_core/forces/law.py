@@ -94,7 +94,7 @@ OUTPUT = np.dtype(
     align=True,
 )
 # Points of contact of two bodies: kink of the comparison of their depth with zero; m, from the origin of each body to
-# the farthest point of its shape, and how deep they can be at least.
+# the farthest point of its shape, and how far they may move in a step while they are near.
 CLOSING = np.dtype([("kink", "i8"), ("bodies", "i8", (2,)), ("reach", "f8", (2,)), ("size", "f8")], align=True)
 ORIGIN = (0.0, 0.0, 0.0)
 WITNESS = 1  # register of the last result that was not finite: its number from 1 on, and the time
