@@ -167,7 +167,7 @@ def robot_scene(path, srdf, links, folder):
     meter += "".join(f"  {each}" for each in powers) + f"    states: {{work: {{rate: {total}, scale: 10}}}}\n"
     root = plain.bodies[0]
     place = (root.position[0], root.position[1], root.position[2] + DROP)
-    hold = f"hold: {{stiffness: {stiffness}, damping: {damping}, joints: [{', '.join(moving)}]}}\n"
+    hold = f"servos: {{stiffness: {stiffness}, damping: {damping}, joints: [{', '.join(moving)}]}}\n"
     return scene(f"start: {{{root.name}: {{position: {list(place)}}}}}\n{hold}forces:\n{meter}")
 
 

@@ -263,9 +263,10 @@ def first_place(model, work):
 
 @kernel
 def _longest(model, work, at):
-    """Longest step in s from the guards in a row of Work.course on, in which no contact of two bodies is overlooked.
+    """Longest step in s from the guards in a row of Work.course on, in which no contact is overlooked.
 
-    At the speed of the stage they go as far as to touch, and then as `closing` of the laws says.
+    At the speed of the stage two bodies, or a body that turns above a plane, do not touch in it, or go on by no more
+    than Laws.closing says.
     """
     laws, longest = model.space.forces.laws, math.inf
     pose, twist = work.space.stage_pose, work.space.stage_twist
@@ -273,12 +274,14 @@ def _longest(model, work, at):
         row = laws.closing[j]
         k, a, b = row["kink"], row["bodies"][0], row["bodies"][1]
         gap = work.course[at, len(model.switches) + k, 1 if work.branches[k] == OPEN else 0]
-        away = sub3(matvec3(load9(pose, a, 0), load3(twist, a, 3)), matvec3(load9(pose, b, 0), load3(twist, b, 3)))
-        turn, other = load3(twist, a, 0), load3(twist, b, 0)
-        speed = math.sqrt(dot3(away, away))
-        speed += row["reach"][0] * math.sqrt(dot3(turn, turn)) + row["reach"][1] * math.sqrt(dot3(other, other))
+        turn, speed = load3(twist, a, 0), 0.0
+        if b >= 0:
+            away = sub3(matvec3(load9(pose, a, 0), load3(twist, a, 3)), matvec3(load9(pose, b, 0), load3(twist, b, 3)))
+            other = load3(twist, b, 0)
+            speed = math.sqrt(dot3(away, away)) + row["reach"][1] * math.sqrt(dot3(other, other))
+        speed += row["reach"][0] * math.sqrt(dot3(turn, turn))
         if speed > 0.0:
-            longest = min(longest, (max(gap, 0.0) + row["size"]) / speed)
+            longest = min(longest, max(gap, row["size"]) / speed)
     return longest
 
 

@@ -56,8 +56,9 @@ MOST_POINTS = 64  # of a hull
 STANDING = 1e-9  # a cylinder that leans less stands: its four points of a rim do not turn to the lowest one
 ROUND = ("sphere", "capsule")
 SHORT = 1e-3  # of a radius; at least the depth under the load, see `_touch_each_other`
-# Of the thickness of two bodies: how far they move in a step while they are near. They pass in a distance p along
-# sqrt(p^2 + x^2), whose polynomial of degree five between x = -p/8 and p/8 has errors of about 1e-8 p.
+# Of the thickness of two bodies, or of the distance of a point from the origin of its body: how far they move in a step
+# while they are near. Bodies pass in a distance p along sqrt(p^2 + x^2), and points turn along r cos(x / r), whose
+# polynomials of degree five between -p/8 and p/8 have errors of about 1e-8 p.
 LOOK = 0.25
 WORK = "work"  # state of the law of a contact: what it did on the bodies, J. Its scale is that of `load` along 1 m
 
@@ -407,8 +408,17 @@ class _Formulas:
         return [self._read(body, f"o{part}", None) for part in "xyz"]
 
     def approach(self, reach):
-        """Let the points that follow matter only where the depth `reach` of a sphere around them is positive."""
-        self._near = f"{self.let(reach)} > 0 and "
+        """Let the points that follow matter only where the depth `reach` of a sphere around them is positive.
+
+        returns its name
+        """
+        reach = self.let(reach)
+        self._near = f"{reach} > 0 and "
+        return reach
+
+    def close_to_plane(self, depth, body, reach):
+        """Note how far a point of a body, `reach` from its origin, may turn in a step while it is near a plane, m."""
+        self.closing.append((depth, (body, None), (reach, 0.0), LOOK * reach))
 
     def press(self, depth, leaving, slips, axes, part=1.0):
         """Force of a point of contact, world axes.
@@ -498,7 +508,8 @@ def _touch_plane(found, body, shape, axes, height):
     (t, s, n), slides = axes.T.tolist(), "friction" in found._numbers
     if shape.type != "sphere":
         middle, far = _around(shape)
-        found.approach(_minus(far + height, _dot(n, found.place(body, middle))))
+        near = found.approach(_minus(far + height, _dot(n, found.place(body, middle))))
+        found.close_to_plane(near, body, np.linalg.norm(middle))
     if shape.type in ("cylinder", "rod"):
         for end in _ends(shape):
             _touch_with_rim(found, body, shape, end, (n, (t, s)), height)
@@ -513,6 +524,7 @@ def _touch_plane(found, body, shape, axes, height):
         depth = _minus(radius + height, _dot(n, place))
         force = found.press(depth, _dot(n, rate), slips, (n, (t, s)))
         found.act(body, point, force, _scaled(-radius, n))
+        found.close_to_plane(found.depths[-1], body, np.linalg.norm(point))
     return found
 
 
@@ -533,6 +545,7 @@ def _touch_with_rim(found, body, shape, end, axes, height):
             depth = _minus(height, _dot(n, _sum(centre, to_point)))
             force = found.press(depth, _dot(n, rate), [_dot(each, rate) for each in tangents], axes)
             found.act(body, end, force, to_point)
+            found.close_to_plane(found.depths[-1], body, math.hypot(np.linalg.norm(end), shape.radius))
 
 
 def _nearest(found, bodies, shapes, barrel):

@@ -93,8 +93,8 @@ OUTPUT = np.dtype(
     ],
     align=True,
 )
-# Points of contact of two bodies: kink of the comparison of their depth with zero; m, from the origin of each body to
-# the farthest point of its shape, and how far they may move in a step while they are near.
+# Points of contact: kink of the comparison of their depth with zero; bodies, -1 for a plane; m, from the origin of each
+# body to the farthest point of its shape, and how far they may move in a step while they are near.
 CLOSING = np.dtype([("kink", "i8"), ("bodies", "i8", (2,)), ("reach", "f8", (2,)), ("size", "f8")], align=True)
 ORIGIN = (0.0, 0.0, 0.0)
 WITNESS = 1  # register of the last result that was not finite: its number from 1 on, and the time
@@ -767,7 +767,7 @@ def make_laws(described, index, ends, angles, slides, first, sensors=()):
         owners += [number] * (len(outputs) - len(owners))
     kink_of = {each: k for k in program.compared for each in program.code[program.kinks[k, 0], 2:4].tolist()}
     closing = [
-        (kink_of[compiled.signals[depth]], [index[body] for body in bodies], reach, size)
+        (kink_of[compiled.signals[depth]], [index.get(body, -1) for body in bodies], reach, size)
         for law, compiled in zip(program.laws, program.compiled)
         for depth, bodies, reach, size in law._closing
     ]

@@ -18,7 +18,7 @@ from .additions import added_couplings, added_drive, added_forces, added_joints
 from .chains import base_of, grouped, kept_joints, locked_joints, place_links
 from .description import ONE_COORDINATE, WORLD, frame_keys, listed
 from .ground import add_contacts
-from .hold import add_holds
+from .held_joints import add_servos
 from .names import scene_name, unique_names
 from .options import BEYOND, is_within
 from .resources import note_mesh
@@ -127,7 +127,7 @@ def scene_parts(robot, options):
     _couplings(robot, grouping, parts, values, taken)
     _lift(robot, grouping, parts, used, taken)
     add_drives(robot, options, parts, values, taken)
-    add_holds(robot, options, grouping, parts, values, taken)
+    add_servos(robot, options, grouping, parts, values, taken)
     add_tendons(robot, options, grouping, parts, used, taken)
     contacts = add_contacts(robot, options, grouping, parts, used, taken)
     for i, entry in enumerate(added_forces(options, grouping, parts)):

@@ -43,7 +43,7 @@ class Options:
     roll      : {joint: radius in m} of wheels, links that roll about the axis of their joint on z = 0 of the world
     drive     : scene.drive.Drive with names of joints of the robot, or None
     ground    : ground.Ground that the collision shapes touch, or None
-    hold      : hold.Hold of the joints that servos hold, or None
+    servos    : held_joints.Servos of the joints that servos hold, or None
     gravity, name, description : of the scene; None: from the robot file
     joint_label : format of an entry of `joints` in error messages, with its index
     place     : function: path inside the additions -> text at the start of an error message
@@ -69,7 +69,7 @@ class Options:
     roll: dict = field(default_factory=dict)
     drive: object = None
     ground: object = None
-    hold: object = None
+    servos: object = None
     gravity: list | None = None
     name: str | None = None
     description: str | None = None

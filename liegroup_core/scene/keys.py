@@ -11,7 +11,7 @@ from liegroup_core.joints.motion import Motion
 from liegroup_core.joints.rotor import Rotor
 from liegroup_core.joints.stops import Backlash, Cone, CylinderFriction, CylinderLimits, Friction, Limits
 from liegroup_core.robots.ground import Ground
-from liegroup_core.robots.hold import Hold
+from liegroup_core.robots.held_joints import Servos
 from liegroup_core.robots.starts import Start
 
 from .description import FORCES, JOINTS, SENSORS, Body, Scene
@@ -44,7 +44,7 @@ PARTS = {
     "file beside a robot": (RobotFile,),
     "start of a link": (Start,),
     "ground of a robot": (Ground,),
-    "hold of a robot": (Hold,),
+    "servos of a robot": (Servos,),
 }
 
 

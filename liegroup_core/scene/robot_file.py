@@ -21,7 +21,7 @@ from liegroup_core.joints.motion import Motion
 from liegroup_core.robots.chains import base_of
 from liegroup_core.robots.description import MISSING_MESHES, WORLD
 from liegroup_core.robots.ground import Ground
-from liegroup_core.robots.hold import Hold
+from liegroup_core.robots.held_joints import Servos
 from liegroup_core.robots.mapping import scene_parts
 from liegroup_core.robots.options import BASES, Options
 from liegroup_core.robots.read import SUFFIXES, read_robot
@@ -147,7 +147,7 @@ class RobotFile(Described):
         description="horizontal plane that the collision shapes touch, {} for its defaults; default: none. A floating "
         "URDF robot without a start of a link stands on it",
     )
-    hold: Hold | None = Field(None, description="servos that hold joints at their start; default: none")
+    servos: Servos | None = Field(None, description="servos that hold joints at their start; default: none")
 
 
 class RobotNames:
@@ -259,7 +259,7 @@ def robot_beside(root, source):
         roll=given.roll,
         drive=given.drive,
         ground=given.ground,
-        hold=given.hold,
+        servos=given.servos,
         gravity=given.gravity,
         name=given.name,
         description=given.description,

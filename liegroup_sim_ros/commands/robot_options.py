@@ -4,7 +4,7 @@
 from liegroup_core.errors import LieGroupSimError, SceneError
 from liegroup_core.joints.kinds import Joint
 from liegroup_core.robots.ground import Ground
-from liegroup_core.robots.hold import Hold
+from liegroup_core.robots.held_joints import Servos
 from liegroup_core.robots.names import scene_name
 from liegroup_core.robots.options import ALL, BASES, Options
 from liegroup_core.robots.starts import Start
@@ -19,7 +19,7 @@ ALSO = {"ball": "spherical", "hinge": "revolute", "slide": "prismatic", "slider"
 WANTED = {
     "roll": "JOINT=RADIUS, in m",
     "ground": "KEY=VALUE, such as friction=0.8",
-    "hold": "KEY=VALUE",
+    "servos": "KEY=VALUE",
 }  # of options with numbers
 
 
@@ -68,7 +68,7 @@ def add_robot_options(parser):
         "friction, sinks, load, restitution (liegroup_sim keys ground)",
     )
     parser.add_argument(
-        "--hold",
+        "--servos",
         nargs="+",
         metavar="JOINT | KEY=VALUE",
         help="servos hold these joints (default: all that turn and that nothing else leads) at their start, such as "
@@ -122,7 +122,7 @@ def _options(args, name=None):
         only=args.only,
         roll=_radii(args.roll),
         ground=_keyed(args.ground, "ground", Ground, "links"),
-        hold=_keyed(args.hold, "hold", Hold, "joints"),
+        servos=_keyed(args.servos, "servos", Servos, "joints"),
         joints=[_closing(*entry) for entry in args.close],
         name=name,
         xacro=_arguments(args.arguments),
@@ -172,7 +172,7 @@ def _radii(entries):
 
 
 def _keyed(entries, option, model, names):
-    """Ground or Hold of names and KEY=VALUE texts; None: none.
+    """Ground or Servos of names and KEY=VALUE texts; None: none.
 
     names : key of the names
     """

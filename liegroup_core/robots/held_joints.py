@@ -12,7 +12,7 @@ from liegroup_core.fields.values import Described, NotNegative, Positive, Text
 from .description import ONE_COORDINATE
 
 
-class Hold(Described):
+class Servos(Described):
     """Servos that hold the joints of a robot at their start."""
 
     stiffness: Positive = Field(description="N m/rad, of slides N/m")
@@ -22,32 +22,34 @@ class Hold(Described):
     )
 
 
-def add_holds(robot, options, grouping, parts, at_start, taken):
+def add_servos(robot, options, grouping, parts, at_start, taken):
     """Append a servo for each joint that is held; at_start: {joint: coordinate at the start}.
 
     A limit of the effort in the file is that of the servo.
     """
-    hold = options.hold
-    if hold is None:
+    servos = options.servos
+    if servos is None:
         return
     moving = {joint.name: joint for joint in grouping.moving if joint.type in ONE_COORDINATE}
-    for name in hold.joints:
+    for name in servos.joints:
         if name not in moving:
-            raise options.unknown(("hold", "joints"), "hold: moving joint with one coordinate", name, moving)
+            raise options.unknown(("servos", "joints"), "servos: moving joint with one coordinate", name, moving)
     names = {file: name for (kind, name), file in parts.names.items() if kind == "joints"}
     coupled = {each.first for each in (*robot.couplings, *robot.relations)}
     led = {names[name] for name in moving if name in coupled or name in options.driven}
     led |= {force["joint"] for force in parts.forces if force["type"] in ("servo", "linear_servo")}
     led |= {names.get(force.joint) for force in options.forces if force.type in ("servo", "linear_servo")}
     wheels = {name for name, joint in moving.items() if joint.type == "prismatic" or name in options.roll}
-    held = hold.joints or [name for name in moving if names[name] not in led and name not in wheels]
+    held = servos.joints or [name for name in moving if names[name] not in led and name not in wheels]
     for name in held:
         joint, effort = moving[name], moving[name].data.get("effort", math.inf)
         kind = "linear_servo" if joint.type == "prismatic" else "servo"
         force = {"name": f"{names[name][:50]}_hold", "type": kind, "joint": names[name]}
-        force |= {"stiffness": hold.stiffness, "damping": hold.damping}
+        force |= {"stiffness": servos.stiffness, "damping": servos.damping}
         force |= {"position": at_start[name] - joint.turned(at_start[name])}
         force |= {"effort_limit": effort} if 0.0 < effort < math.inf else {}
         parts.add("forces", force, joint.line, f"holds {name}", taken)
     if not held:
-        raise options.error(("hold",), "hold: no joint that turns is free of other servos and couplings: name joints")
+        raise options.error(
+            ("servos",), "servos: no joint that turns is free of other servos and couplings: name joints"
+        )

@@ -8,7 +8,7 @@ import scipy
 from robot_texts import written
 
 from liegroup_core import SceneError, Simulation
-from liegroup_core.robots.hold import Hold
+from liegroup_core.robots.held_joints import Servos
 from liegroup_core.robots.options import Options
 from liegroup_core.scene.load import scene_from_robot
 
@@ -31,8 +31,8 @@ STIFFNESS, DAMPING = 40.0, 8.0
 
 def held(tmp_path, start=1.2, forces=(), **keys):
     path = written(tmp_path / "arm.urdf", URDF)
-    hold = Hold(stiffness=STIFFNESS, damping=DAMPING, **keys)
-    return scene_from_robot(path, Options(start={"hinge": start}, hold=hold, forces=list(forces)))
+    servos = Servos(stiffness=STIFFNESS, damping=DAMPING, **keys)
+    return scene_from_robot(path, Options(start={"hinge": start}, servos=servos, forces=list(forces)))
 
 
 @pytest.mark.parametrize("turns", [0, 1])
@@ -58,7 +58,7 @@ def test_joints_that_turn_and_that_nothing_else_leads_are_held(tmp_path):
     scene = scene_from_robot(written(tmp_path / "arm.urdf", URDF), Options())
     servo = scene.remade(forces=[own]).forces[0]
     with pytest.raises(
-        SceneError, match="hold: no joint that turns is free of other servos and couplings: name joints"
+        SceneError, match="servos: no joint that turns is free of other servos and couplings: name joints"
     ):
         held(tmp_path, forces=[servo])
 
@@ -66,7 +66,7 @@ def test_joints_that_turn_and_that_nothing_else_leads_are_held(tmp_path):
 @pytest.mark.parametrize(
     "keys, said",
     [
-        ({"joints": ["hnge"]}, "hold: moving joint with one coordinate 'hnge' is not in the robot; did you mean"),
+        ({"joints": ["hnge"]}, "servos: moving joint with one coordinate 'hnge' is not in the robot; did you mean"),
         ({"stiffness": 0}, "stiffness must be greater than 0"),
         ({"damping": None}, "damping"),
     ],
@@ -74,6 +74,6 @@ def test_joints_that_turn_and_that_nothing_else_leads_are_held(tmp_path):
 def test_a_wrong_hold_is_refused_in_one_line(tmp_path, keys, said):
     with pytest.raises(SceneError, match=said) as caught:
         scene_from_robot(
-            written(tmp_path / "arm.urdf", URDF), Options(hold=Hold(**({"stiffness": 1, "damping": 1} | keys)))
+            written(tmp_path / "arm.urdf", URDF), Options(servos=Servos(**({"stiffness": 1, "damping": 1} | keys)))
         )
     assert "\n" not in str(caught.value)
