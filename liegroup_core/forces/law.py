@@ -951,7 +951,7 @@ def _differentiate(laws, registers):
 def branch_matters(laws, branches, registers, k, branch, force, span, part, least):
     """1 if another branch of kink k changes outputs or states by more than `least`, at the inputs in registers.
 
-    Also if with that branch a block with kinks is evaluated, and is not without: these may have been passed since.
+    Also if only one of both evaluates a block with kinks: these may have been passed.
 
     force : N, sum of all forces;  span : s, in which rates change states
     part : of the change that counts, for a continuous kink
@@ -975,7 +975,7 @@ def branch_matters(laws, branches, registers, k, branch, force, span, part, leas
         part = 1.0
     found = 0
     for j in range(len(laws.kinks)):
-        if laws.kinks[j, 1] >= 0 and registers[laws.kinks[j, 1], 0] > registers[laws.kinks[j, 1], 1]:
+        if laws.kinks[j, 1] >= 0 and registers[laws.kinks[j, 1], 0] != registers[laws.kinks[j, 1], 1]:
             found = 1
     for e in range(len(laws.outputs)):
         at = laws.outputs[e]["registers"]

@@ -511,6 +511,60 @@ def test_a_step_that_is_too_long_for_a_contact_is_told(step, told, caplog):
     assert text not in caplog.text
 
 
+def integrated(rates, start, begin, end, longest):
+    """State at an end, by SciPy with steps that resolve a short contact."""
+    return scipy.integrate.solve_ivp(rates, (begin, end), start, "DOP853", rtol=1e-12, atol=1e-14, max_step=longest).y[
+        :, -1
+    ]
+
+
+@pytest.mark.parametrize("overlap", [1e-2, 1e-4, 1e-6])
+def test_balls_that_graze_after_a_long_flight_touch(overlap):
+    """Steps of free flight would pass them: they touch at 5 m, for 2 sqrt(2 overlap 0.2 m) / (1 m/s)."""
+    bodies = [
+        "{name: a, shape: {type: sphere, radius: 0.1, mass: 1}, linear_velocity: [1, 0, 0]}",
+        f"{{name: b, shape: {{type: sphere, radius: 0.1, mass: 1}}, position: [5, {0.2 - overlap!r}, 0]}}",
+    ]
+    hit = "name: hit, body: a, other: b, stiffness: 1e4, damping: 0"
+    simulation = Simulation(scene(bodies, [hit], gravity=0.0), accuracy=1e-9, quiet=True)
+    simulation.advance_to(10.0)
+
+    def rates(_, state):
+        apart = np.array([state[0] - 5.0, state[1] - 0.2 + overlap])  # of a from b, which keeps its place so shortly
+        force = 1e4 * max(0.2 - math.hypot(*apart), 0.0) * apart / math.hypot(*apart)
+        return [*(state[2:4]), *(2.0 * force)]
+
+    x, y, vx, vy = integrated(rates, [4.9, 0.0, 1.0, 0.0], 0.0, 0.2, 1e-4)
+    # The relative motion is that of the reduced mass; b goes on with the rest of the momentum.
+    expected = [(0.5 + 0.5 * vx, 0.5 * vy), (0.5 - 0.5 * vx, -0.5 * vy)]
+    assert_allclose(simulation.sample().twist[:, 3:5], expected, atol=1e-8)
+
+
+@pytest.mark.parametrize("rate", [1.0, 50.0])
+@pytest.mark.parametrize("dip", [1e-3, 1e-6])
+def test_a_corner_that_dips_into_the_plane_as_its_body_turns_is_seen(rate, dip):
+    """A step of a free rotation would pass the dip: 0.1 rad and 0.004 rad of a turn; against SciPy."""
+    arm, inertia = 0.2, 0.01
+    bodies = [
+        f"{{name: b, mass: 1, inertia: [{inertia}, {inertia}, {inertia}], position: [0, 0, {arm - dip!r}], "
+        f"angular_velocity: [0, {rate}, 0]}}"
+    ]
+    shape = f"{{type: hull, points: [[{arm}, 0, 0], [-0.05, 0, 0]]}}"
+    floor = f"name: floor, body: b, shape: {shape}, stiffness: 1e4, damping: 0"
+    simulation = Simulation(scene(bodies, [floor], gravity=0.0), accuracy=1e-9, quiet=True)
+    simulation.advance_to(3.0 / rate)
+
+    def rates(_, state):
+        force = 1e4 * max(-state[0] + arm * math.sin(state[1]), 0.0)
+        return [state[2], state[3], force, -force * arm * math.cos(state[1]) / inertia]
+
+    z, _, climb, turn = integrated(rates, [arm - dip, 0.0, 0.0, rate], 0.0, 3.0 / rate, 1e-3 / rate)
+    sample = simulation.sample()
+    velocity = sample.pose[0, :9].reshape(3, 3) @ sample.twist[0, 3:]
+    assert_allclose((sample.pose[0, 11], velocity[2], sample.twist[0, 1]), (z, climb, turn), rtol=1e-8, atol=1e-8)
+    assert climb > 1e-7
+
+
 def test_boxes_do_not_touch_each_other():
     bodies = [f"{{name: {name}, shape: {{type: box, size: [1, 1, 1], mass: 1}}}}" for name in "ab"]
     with pytest.raises(SceneError, match="a box can touch a plane or a round body"):
