@@ -196,13 +196,14 @@ forces:
   tables: {mu: {x: [-9, -1, -0.05, 0.05, 1, 9], y: [0.6, 0.4, 0.9, -0.9, -0.4, -0.6]}}
   outputs: [{joint: elbow, effort: mu(w)}, {joint: shoulder, effort: 0.5*mu(v)}]
 """,
-    # It bounces, skids, rolls over both ends, and meets a ball that rolls. A ball that starts where it only just touches
+    # It bounces, skids, rolls over both ends, and meets a ball that rolls. A ball that only just touches at the start
     # would begin to press at a double zero, known to 1e-9 s.
     "a capsule and a ball on the ground": """
 bodies:
 - {name: peg, mass: 1, inertia: [0.02, 0.02, 0.005], com: [0.01, 0, 0.02], position: [0, 0, 0.3],
    rotation_vector: [0.9, 0.4, 0], linear_velocity: [0.5, 0, 0], angular_velocity: [1, 3, 2]}
-- {name: ball, shape: {type: sphere, radius: 0.1, mass: 1}, position: [0.45, 0.05, 0.098], linear_velocity: [-0.2, 0, 0]}
+- {name: ball, shape: {type: sphere, radius: 0.1, mass: 1}, position: [0.45, 0.05, 0.098],
+   linear_velocity: [-0.2, 0, 0]}
 forces:
 - {name: floor, type: contact, body: peg, shape: &peg {type: capsule, radius: 0.05, length: 0.2}, stiffness: 2e3,
    restitution: 0.5, friction: 0.4, slip: 2e-3}
