@@ -3,7 +3,6 @@
 
 import importlib
 
-from rclpy.exceptions import NameValidationException
 from rclpy.qos import qos_profile_sensor_data
 from rclpy.serialization import deserialize_message
 
@@ -17,6 +16,15 @@ from .parameters import NodeParameterError
 
 LOOK = 0.5  # s between two looks for topics that nobody has offered yet
 MAPS = (".yaml", ".yml")
+
+
+def _resolved(node, name):
+    """Fully qualified name of a topic."""
+    try:
+        return node.resolve_topic_name(name)
+    except RuntimeError as error:  # RCLError, with a place in its source
+        reason = str(error).partition(": ")[2].partition(", at ")[0]
+        raise NodeParameterError(f"parameter machine: Invalid topic name {name!r:.60}: {reason}") from None
 
 
 class MachineTopics:
@@ -34,8 +42,8 @@ class MachineTopics:
                 given = load_map(values.machine)
                 names = [each.topic for each in (*given.inputs, *given.measurements)]
             self.machine = RealMachine(scene, layout, given, values, _decoded)
-            self._wanted = {node.resolve_topic_name(name): name for name in names}
-        except (SceneError, NameValidationException) as error:
+            self._wanted = {_resolved(node, name): name for name in names}
+        except SceneError as error:
             raise NodeParameterError(f"parameter machine: {' '.join(str(error).split())}") from None
         self._node, self._outputs, self._stream, self._subscriptions = node, outputs, outputs.add(topics.MACHINE), []
         self._timer = node.create_timer(LOOK, self._look)
