@@ -6,8 +6,9 @@ holds a switch has no known derivative, and may exceed its bounds for only a par
 are computed at some stages of the method, and interpolated by the polynomial through these. The distance to
 the polynomial without the middle node estimates the error. So are those of the branches of laws.
 
-A branch is OPEN where both of its sides lead back to its end: the law takes at every stage the branch of its
-arguments. Once all stages of a substep agree, and it leads away from the end, that one holds.
+A branch is OPEN where both of its sides lead back to its end, or where it changes without effect: the law takes at
+every stage the branch of its arguments. Once all stages of a substep agree, and it leads away from the end, that one
+holds.
 Of a comparison the sides are shared instead, if their shares are determined: see dynamics/sliding.py.
 
 times.py confirms and locates the suspected crossings.
@@ -286,16 +287,19 @@ def _longest(model, work, at):
 
 
 @kernel
-def crossed(model, work, h, weights):
-    """Whether a guard is crossed in the step of size h that ends at the stage; writes where to work.crossed.
-
-    AGAIN: the step is to be taken again, not longer than Work.pace: two bodies may have passed each other. Or a branch
-    whose end is crossed without effect at the end of the step is OPEN from now on: what it does in between, and where
-    branches behind it change, are seen with the branches of all stages.
-    """
+def is_too_long(model, work, h):
+    """Whether a contact may be overlooked in the step of size h that ends at the stage, longer than Work.pace."""
     work.pace[0] = _longest(model, work, START)
-    if h > work.pace[0]:
-        return AGAIN
+    return h > work.pace[0]
+
+
+@kernel
+def crossed(model, work, h, weights):
+    """CROSSED: a guard is crossed in the step of size h that ends at the stage, at the places in Work.crossed.
+
+    AGAIN: the step is to be taken again. A branch whose end is crossed without effect at the end of the step is OPEN
+    from now on: what it does in between, and where branches behind it change, are seen with the branches of all stages.
+    """
     found, again = False, False
     for k in range(len(model.switches)):
         switch, guards, places = model.switches[k], work.guards, work.crossed

@@ -289,7 +289,7 @@ class RelativeWork(Struct):
     course: np.ndarray = shaped(NODES, "guards", 2)  # the last two guards at some stages: see events/crossings.py
     crossed: np.ndarray = shaped("guards", 5)  # fraction of the step by which each event has occurred, or -1
     watch: np.ndarray = shaped(3)  # WATCHED, BEGIN, SPAN
-    pace: np.ndarray = shaped(1)  # s, longest substep: see crossings.crossed
+    pace: np.ndarray = shaped(1)  # s, longest substep: see crossings.is_too_long
     wrench: np.ndarray = shaped("bodies", 6)  # wrenches on the bodies
     relative: np.ndarray = shaped("links", 12)  # pose of each link in its parent link
     world: np.ndarray = shaped("links", 12)  # pose in the world; where it is needed

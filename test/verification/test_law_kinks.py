@@ -6,9 +6,11 @@ import math
 import numpy as np
 import pytest
 import scipy
+from convergence import fitted_order
 from numpy.testing import assert_allclose
 
 from liegroup_core import Simulation, SimulationError, load_scene
+from liegroup_core.engine import Engine
 from liegroup_core.identification import Given, Log, Measured, identify
 from liegroup_core.linear import inverse_dynamics, linearise, sensitivities, transition, trim
 from liegroup_core.reference.trajectory import WrenchSpan, integrate
@@ -431,3 +433,31 @@ def test_sensitivities_of_states_pass_events():
     known = [[c / (k * x0) - left / k, by_k, at], [left, -x0 * time * left, 0.0]]
     assert_allclose(found.derivatives[0], known, atol=1e-9)
     assert found.errors.max() < 1e-9
+
+
+def test_steps_of_equal_size_that_are_located_miss_no_contact():
+    """Two balls exchange their speeds in half a period of their spring, with the order of the method through both ends.
+
+    A law that can slide lets the steps be located. They are longer than those with error control near a contact.
+    """
+
+    class Locating(Engine):
+        LOCATES = True
+
+    rate, speed = math.pi / 0.16, 2.6
+    balls = f"""
+  - {{name: a, shape: {{type: sphere, radius: 0.1, mass: 1}}, position: [0, 5, 0], linear_velocity: [{speed}, 0, 0]}}
+  - {{name: b, shape: {{type: sphere, radius: 0.1, mass: 1}}, position: [1, 5, 0]}}
+joints:"""
+    forces = f"""forces:
+  - {{name: own, type: law, inputs: {{v: rail.velocity}}, outputs: [{{joint: rail, effort: "1 - 0.3*(v > 0)"}}]}}
+  - {{name: hit, type: contact, body: a, other: b, stiffness: {0.5 * rate**2}, damping: 0}}
+"""
+    scene = scene_from_text(RAIL.replace("\njoints:", balls) + forces, "test")
+    steps, errors = (0.04, 0.02, 0.01), []
+    for step in steps:
+        engine = Locating(scene, "rkmk4", step, "auto", "none", quiet=True)
+        engine.advance(round(1.0 / step))
+        errors.append(np.abs(engine.sample().twist[1:, 3] - (0.0, speed)).max())
+    assert fitted_order(steps, errors) > 4.0
+    assert errors[-1] < 1e-5

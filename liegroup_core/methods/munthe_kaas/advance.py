@@ -7,7 +7,7 @@ Only the functions that Python calls are compiled with the mechanics; explicit.s
 import math
 
 from liegroup_core.compiling import borrowed, kernel, stepper
-from liegroup_core.events.crossings import AGAIN, CALM, CROSSED, first_place
+from liegroup_core.events.crossings import AGAIN, CALM, CROSSED, first_place, is_too_long
 from liegroup_core.mechanism.arrays import BEGIN
 from liegroup_core.mechanism.bodies import LARGEST_TURN, ROUND_OFF, STEP_TURN, copy_state
 from liegroup_core.status import EVENT, OK, TOO_MANY_SUBSTEPS
@@ -87,6 +87,14 @@ def _accept_controlled(model, work, scheme, control, pose, twist, external):
 
 
 @kernel
+def _seen(model, work, scheme, start, size):
+    """As `find_event`, of a substep under error control: AGAIN, too, if it is too long to see all contacts."""
+    if not watches(model, work):
+        return CALM
+    return AGAIN if is_too_long(model, work, size) else find_event(model, work, scheme, start, size)
+
+
+@kernel
 def _take_again(work, control, size):
     """Let the next substep have the size of the last one, or the pace; returns 0: its first stage is computed again."""
     control.accepted[0] -= 1.0
@@ -122,7 +130,10 @@ def advance(model, work, scheme, h, steps, pose_in, twist_in, external_in):
     while done < steps and status == OK:
         start = (work.clock.count[0] + done) * h + work.clock.offset[0]
         status = attempt(model, work, scheme, h, start, 0.0, 0, pose, twist, external)
-        if status == OK and watching and find_event(model, work, scheme, 0.0, h) != CALM:
+        seen = find_event(model, work, scheme, 0.0, h) if status == OK and watching else CALM
+        if seen == AGAIN:
+            continue
+        if seen == CROSSED:
             status = EVENT
         if status == OK and model.projects:
             status = close(model, work, False)
@@ -165,7 +176,7 @@ def advance_controlled(model, work, scheme, h, steps, pose_in, twist_in, externa
                 status = TOO_MANY_SUBSTEPS
             if status != OK or not accepted:
                 continue
-            seen = find_event(model, work, scheme, h - remaining, size) if watching else CALM
+            seen = _seen(model, work, scheme, h - remaining, size)
             if seen == AGAIN:
                 first = _take_again(work, control, size)
                 continue
@@ -301,7 +312,7 @@ def _go_ahead(model, work, scheme, steps, pose, twist, external, control):
             status = TOO_MANY_SUBSTEPS
         if status != OK or not accepted:
             continue
-        seen = find_event(model, work, scheme, 0.0, size) if watching else CALM
+        seen = _seen(model, work, scheme, 0.0, size)
         if seen == AGAIN:
             first = _take_again(work, control, size)
             control.fresh[0] = 0.0
