@@ -570,16 +570,11 @@ def _nearest(found, bodies, shapes, barrel):
             t = found.let(_clip(f"(({b}*{found.let(s)} + {f})/{e})", 0.0, 1.0))
             s = found.let(_clip(f"(({b}*{t} - {shifted})/{a})", 0.0, 1.0))
             pairs.append((s, t, _more(barrel, s, end)))
-    return [
-        (
-            *(
-                [found.let(each) for each in _sum(ends[0], _scaled(found.let(part), vector))]
-                for ends, part, vector in zip((first, second), parts, along)
-            ),
-            more,
-        )
-        for *parts, more in pairs
-    ]
+
+    def at(ends, part, vector):
+        return [found.let(each) for each in _sum(ends[0], _scaled(found.let(part), vector))]
+
+    return [(at(first, s, along[0]), at(second, t, along[1]), more) for s, t, more in pairs]
 
 
 def _more(barrel, s, end):
@@ -684,10 +679,11 @@ def _touch_each_other(found, bodies, shapes, short):
     return found
 
 
-def _touch_at(found, bodies, shapes, mine, theirs, more, inside="0"):
+def _touch_at(found, bodies, shapes, mine, theirs, more, inside=None):
     """Contact of two bodies at points of their axes or of the box, world axes.
 
-    more : m^2, of the squared distance;  inside : whether the first point is in the box, so that it is negative
+    more   : m^2, is added to the squared distance, see `_touch_each_other`; 0.0: nothing
+    inside : condition that the first point is in the box, so that its distance is negative; None: there is no box
     """
     radii = [getattr(shape, "radius", 0.0) for shape in shapes]
     apart = [found.let(each) for each in _difference(mine, theirs)]
@@ -696,7 +692,7 @@ def _touch_at(found, bodies, shapes, mine, theirs, more, inside="0"):
     if more:
         length = found.let(f"sqrt({reach}**2 + {more})")
         part = found.let(f"{reach}/{length}")
-    if inside != "0":
+    if inside is not None:
         length = found.let(f"({_minus(f'sqrt({more})' if more else 0.0, reach)} if {inside} else {length})")
         reach = found.let(f"(-{reach} if {inside} else {reach})")
         part = found.let(f"(1 if {inside} else {part})") if more else 1.0

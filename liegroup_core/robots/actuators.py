@@ -83,8 +83,7 @@ def add_drives(robot, options, parts, values, taken):
             robot.leave_out("actuators", actuator.name, changes_motion=True)
         return
     entries = {parts.names["joints", entry["name"]]: entry for entry in parts.joints}
-    own = {each.joint for each in options.forces if each.type in ("servo", "linear_servo")} | options.driven.keys()
-    of_joint = {}
+    own, of_joint = options.led, {}
     for actuator in robot.actuators:
         for name, law in _laws(robot, actuator, options.pose, entries, values):
             if name in own:

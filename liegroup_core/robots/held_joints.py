@@ -35,12 +35,10 @@ def add_servos(robot, options, grouping, parts, at_start, taken):
         if name not in moving:
             raise options.unknown(("servos", "joints"), "servos: moving joint with one coordinate", name, moving)
     names = {file: name for (kind, name), file in parts.names.items() if kind == "joints"}
-    coupled = {each.first for each in (*robot.couplings, *robot.relations)}
-    led = {names[name] for name in moving if name in coupled or name in options.driven}
-    led |= {force["joint"] for force in parts.forces if force["type"] in ("servo", "linear_servo")}
-    led |= {names.get(force.joint) for force in options.forces if force.type in ("servo", "linear_servo")}
-    wheels = {name for name, joint in moving.items() if joint.type == "prismatic" or name in options.roll}
-    held = servos.joints or [name for name in moving if names[name] not in led and name not in wheels]
+    led = options.led | {each.first for each in (*robot.couplings, *robot.relations)} | options.roll.keys()
+    actuated = {force["joint"] for force in parts.forces if force["type"] in ("servo", "linear_servo")}
+    turning = [name for name, joint in moving.items() if joint.type != "prismatic"]
+    held = servos.joints or [name for name in turning if name not in led and names[name] not in actuated]
     for name in held:
         joint, effort = moving[name], moving[name].data.get("effort", math.inf)
         kind = "linear_servo" if joint.type == "prismatic" else "servo"

@@ -76,6 +76,11 @@ class Options:
     joint_label: str = "--close"
     place: object = None
 
+    @property
+    def led(self):
+        """{joint} of those with a servo or a motion of the user."""
+        return {each.joint for each in self.forces if each.type in ("servo", "linear_servo")} | self.driven.keys()
+
     def error(self, path, message):
         """SceneError at an entry of the additions."""
         head = self.place(path) if self.place else ""

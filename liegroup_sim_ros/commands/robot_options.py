@@ -16,11 +16,8 @@ CLOSING = ("spherical", "revolute", "prismatic", "cylindrical", "planar", "fixed
 # Names of the same joints in SDF and MJCF.
 ALSO = {"ball": "spherical", "hinge": "revolute", "slide": "prismatic", "slider": "prismatic"}
 
-WANTED = {
-    "roll": "JOINT=RADIUS, in m",
-    "ground": "KEY=VALUE, such as friction=0.8",
-    "servos": "KEY=VALUE",
-}  # of options with numbers
+# Of options with numbers.
+WANTED = {"roll": "JOINT=RADIUS, in m", "ground": "KEY=VALUE, such as friction=0.8", "servos": "KEY=VALUE"}
 
 
 class RobotError(LieGroupSimError):

@@ -107,27 +107,25 @@ class UnbufferedFile:
 
     def __init__(self, path):
         self._raw = open(path, "xb", buffering=0)
-        self._path, self._end, self._size, self._tail = os.path.abspath(path), 0, 0, bytearray()
+        self._path, self._end, self._tail = os.path.abspath(path), 0, bytearray()
         self.close = self._raw.close
 
     def write(self, data, replaced=0):
         """Write all bytes in front of the tail, in place of its first `replaced` bytes, or raise OSError."""
-        before = self._size
+        before = len(self._tail)
         del self._tail[:replaced]
         new = data + self._tail
-        unused = before - self._end - len(new)
+        unused = before - len(new)
         # A reader skips the rest of the old tail in this record, if the process ends before the next lines.
         self._put(new + (RECORD.pack(_SKIPPED, max(0, unused - RECORD.size)) if unused > 0 else b""), self._end)
         if unused > 0:
             os.ftruncate(self._raw.fileno(), self._end + len(new))
         self._end += len(data)
-        self._size = self._end + len(self._tail)
 
     def append(self, data):
         """Write all bytes behind the tail, of which they become a part, or raise OSError."""
-        self._put(data, self._size)
+        self._put(data, self._end + len(self._tail))
         self._tail += data
-        self._size += len(data)
 
     def _put(self, data, at):
         self._check_size()
@@ -159,7 +157,7 @@ class UnbufferedFile:
 
     def _check_size(self):
         size = os.fstat(self._raw.fileno()).st_size
-        if size < self._size:
+        if size < self._end + len(self._tail):
             raise FileLostError(f"the file was truncated to {size} bytes")
 
 
@@ -187,7 +185,8 @@ class McapFile:
         self._put(MCAP0_MAGIC)
         self._write(Header(profile, library))
 
-    def _put(self, data, *replaced):
+    def _put(self, data, replaced=()):
+        """Write bytes; replaced : () or (bytes of the tail of an UnbufferedFile that they take the place of,)."""
         self._checksum = zlib.crc32(data, self._checksum)
         self._stream.write(data, *replaced)
 
@@ -282,7 +281,7 @@ class McapFile:
             size = len(entries) * entries.itemsize
             parts += _INDEX.pack(Opcode.MESSAGE_INDEX, 2 + 4 + size, channel, size)
             parts += struct.pack(f"<{len(entries)}Q", *entries)
-        self._put(record + parts, *([chunk.saved] if chunk.saved else []))
+        self._put(record + parts, (chunk.saved,) if chunk.saved else ())
         for channel, entries in index.items():
             self.counts[channel] += len(entries) // 2
         self._chunks.append(
