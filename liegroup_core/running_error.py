@@ -21,10 +21,11 @@ With an accuracy both run ahead (methods/munthe_kaas/ahead.py): their substeps f
 their states at any time are those of interpolants, whose errors are part of the distance. Checkpoints follow after
 up to SUBSTEPS substeps, and earlier where the distance grows fast. In between, the two are compared when an estimate
 is read, and PART of the horizon after the last look; an estimate above the accuracy makes that a checkpoint, too.
-Steps with events of stops and friction are the same for both; there the companion's error may be the smaller one, so
-that with switches all of the distance counts. So it does once a substep was near a singular pose, or had an error far
-above the expected one, as where a force jumps: there the order is not seen. A substep that would be the same for both
-is divided by the companion (error_control.DIVIDED).
+An event is a common time of both. Up to it the companion takes smaller steps, and after it a smaller one first, because
+equal steps have equal errors. There the companion's error may be the smaller one, so that with events all of the
+distance counts. So it does once a substep was near a singular pose, or had an error far above the expected one, as where
+a force jumps: there the order is not seen. A substep that would be the same for both is divided by the companion
+(error_control.DIVIDED).
 
 Instants of sampled laws end many steps of both, so that errors of the companion would be larger in some and smaller in
 others, and could cancel. There, without error control, its steps are half as long, and the distance is the error.
@@ -73,7 +74,7 @@ PARTS = 2  # of a companion's step with sampled laws, and up to an event, whose 
 # Fraction of the distance that counts if the order is not seen.
 LEAST, LEAST_HIGH = 1.0, 0.75
 CONTROLLED = 0.5  # the same with error control
-EVENTS = 1.0  # with stops or friction: up to an event the companion takes smaller steps, and the distance is the error
+EVENTS = 1.0  # with events: up to one the companion takes smaller steps, and the distance is the error
 BITS = 4  # number of bits of its state that the companion rounds away with an accuracy
 # q with error control, of given tolerances of an explicit method, else. Tolerances of order 8 differ by q^8 = 2^BITS.
 EXPLICIT_RATIO, RATIO = 4.0 / 3.0, 2.0 ** (BITS / 8.0)
@@ -106,7 +107,7 @@ class RunningError:
         self.ours, self._theirs = (1, 1) if by_work else (4, 1) if controlled else (4, 3) if order < HIGH else (6, 5)
         if controlled:
             ratio = RATIO if by_work or method.implicit else EXPLICIT_RATIO
-            least = EVENTS if by_work and engine.layout.switches else CONTROLLED
+            least = EVENTS if by_work and engine._switching is not None else CONTROLLED
         else:
             ratio, least = self.ours / self._theirs, LEAST if order < HIGH else LEAST_HIGH
         self.ratio, self.size = ratio, engine.layout.size
@@ -150,7 +151,7 @@ class RunningError:
             time = max(step, BAUMGARTE_STEPS * engine.step if time is None else time)
         options |= of_engine(engine) | {"step": step, "baumgarte_time": time}
         companion = Engine(engine.scene, engine.method, quiet=True, layout=engine.layout, **options)
-        if engine.layout.switches or not METHODS[engine.method].controlled:
+        if engine._switching is not None or not METHODS[engine.method].controlled:
             companion.events.divide(PARTS)
         companion.inputs.log = None  # nothing reads it
         return companion

@@ -19,10 +19,9 @@ from liegroup_core.robots.xml import read_xml
 
 from .cdr import ENCAPSULATION
 from .links import link_of_body, links_and_joints
-from .markers import CUBE, CYLINDER, SPHERE, in_primitives, solid
+from .markers import in_primitives, solid
 
 TYPE = "std_msgs/msg/String"
-KINDS = {CUBE: "box", CYLINDER: "cylinder", SPHERE: "sphere"}
 COLOR = "0.35 0.55 0.8 1"
 _FILENAME = re.compile(r"""(\bfilename\s*=\s*["'])([^"'<>]*)(["'])""")
 FAR = 1e6  # m, m/s and N: stands for "no limit"
@@ -78,8 +77,8 @@ def _with_addresses(text, file):
 def _solid(body, scene):
     """Visual of a body of a scene: its shape, or a box of the same mass and inertia."""
     kind, (x, y, z), pose = solid(body, scene)
-    size = {CUBE: (x, y, z), CYLINDER: (0.5 * x, z), SPHERE: (0.5 * x,)}[kind]
-    return Visual(KINDS[kind], size, pose)
+    sizes = {"box": (x, y, z), "capsule": (0.5 * x, z - x), "cylinder": (0.5 * x, z), "sphere": (0.5 * x,)}
+    return Visual(kind, sizes[kind], pose)
 
 
 def _joint(joint):

@@ -34,7 +34,7 @@ CONTACT_COLOR, PLANE_COLOR = (0.1, 0.6, 0.2, 1.0), (0.6, 0.6, 0.6, 0.4)
 JOINT_SIZE, SHAFT, HEAD, GROUND = 0.08, 0.03, 0.06, 20.0
 THINNEST = 0.01  # smallest edge of a marker; RViz does not draw size 0
 ENDS = ("parent_point", "child_point")
-TYPES = {"box": CUBE, "capsule": CYLINDER, "cylinder": CYLINDER, "rod": CYLINDER, "sphere": SPHERE}
+TYPES = {"box": CUBE, "cylinder": CYLINDER, "sphere": SPHERE}
 
 
 class Markers:
@@ -157,9 +157,17 @@ def drawn(scene):
                 shown.add(body)
     for body in scene.bodies:
         if body.name not in shown:
-            kind, size, local = solid(body, scene)
-            found.append((body.name, kind, size, local, "", BODY_COLOR))
+            found += [(body.name, *part, "", BODY_COLOR) for part in parts(*solid(body, scene))]
     return found
+
+
+def parts(kind, size, pose):
+    """[(kind of marker, sizes (3,) in m, pose (4, 4))] of a `solid`: of a capsule a cylinder and two spheres."""
+    if kind != "capsule":
+        return [(TYPES[kind], size, pose)]
+    across, long = size[0], size[2] - size[0]
+    caps = [(SPHERE, (across,) * 3, pose @ place((0.0, 0.0, end * long))) for end in (-0.5, 0.5)]
+    return [(CYLINDER, (across, across, long), pose), *caps]
 
 
 def in_primitives(visual):
@@ -196,24 +204,21 @@ def links(scene):
 
 
 def solid(body, scene):
-    """(kind of marker, sizes (3,) in m, pose (4, 4) in the body frame) that represent a body of a scene."""
+    """("box", "capsule", "cylinder" or "sphere", edges (3,) in m, pose (4, 4) in the body frame) of a body of a scene."""
     local = np.eye(4)
     shape = body.shape
     rolling = next((j for j in scene.joints if j.child == body.name and hasattr(j, "radius")), None)
     if shape is None and rolling is not None:
         across = 2.0 * rolling.radius
         is_ball = rolling.type == "ball_on_plane"
-        return (
-            SPHERE if is_ball else CYLINDER,
-            (across, across, across if is_ball else RIM * across),
-            (rolling.child_frame.pose),
-        )
+        long = across if is_ball else RIM * across
+        return "sphere" if is_ball else "cylinder", (across, across, long), rolling.child_frame.pose
     if shape is None:
         moments, axes = np.linalg.eigh(body.inertia_matrix)
         local[:3, :3] = axes * np.linalg.det(axes)  # a rotation, not a reflection
         local[:3, 3] = body.com
         squares = 6.0 * (moments.sum() - 2.0 * moments) / body.mass
-        return CUBE, tuple(math.sqrt(max(0.0, square)) for square in squares), local
+        return "box", tuple(math.sqrt(max(0.0, square)) for square in squares), local
     local[:3, :3], local[:3, 3] = shape.rotation, shape.position
     if shape.type == "box":
         size = shape.size
@@ -221,4 +226,4 @@ def solid(body, scene):
         across = 2.0 * shape.radius
         long = getattr(shape, "length", 0.0) + (across if shape.type in ("sphere", "capsule") else 0.0)
         size = (across, across, long)
-    return TYPES[shape.type], tuple(size), local
+    return "cylinder" if shape.type == "rod" else shape.type, tuple(size), local

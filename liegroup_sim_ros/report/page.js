@@ -86,8 +86,8 @@ function drawPicker(root, planes, plots) {
   }
 }
 
-// Solids of size 1 about their centre: [vertices, triangles].
-function makeSolid(kind) {
+// Solids of size 1 about their centre: [vertices, triangles]. A capsule's share of caps follows from its edges.
+function makeSolid(kind, [across, , long]) {
   const points = [], faces = [];
   if (kind === "box") {
     for (let k = 0; k < 8; k++) points.push([(k & 1) - .5, (k >> 1 & 1) - .5, (k >> 2) - .5]);
@@ -96,13 +96,14 @@ function makeSolid(kind) {
       faces.push([a, b, c], [a, c, d]);
     return [points, faces];
   }
-  const around = 24, rings = kind === "sphere" ? 11 : 2;
+  const around = 24, isRound = kind !== "cylinder", rings = isRound ? 12 : 2;
+  const caps = kind === "capsule" ? across / long : 1;
   for (let r = 0; r < rings; r++)
     for (let k = 0; k < around; k++) {
       const turn = 2 * Math.PI * k / around, rise = Math.PI * (r + 1) / (rings + 1);
-      const out = kind === "sphere" ? Math.sin(rise) : 1;
+      const out = isRound ? Math.sin(rise) : 1, side = r < rings / 2 ? -.5 : .5;
       points.push([.5 * out * Math.cos(turn), .5 * out * Math.sin(turn),
-                   kind === "sphere" ? -.5 * Math.cos(rise) : r - .5]);
+                   isRound ? side * (1 - caps) - .5 * caps * Math.cos(rise) : side]);
     }
   points.push([0, 0, -.5], [0, 0, .5]);
   const bottom = points.length - 2, top = points.length - 1, last = (rings - 1) * around;
@@ -160,7 +161,7 @@ class Motion {
     [...this.bodies, ...view.fixed].forEach((body, k) => {
       const i = k < this.bodies.length ? k : -1;
       for (const shape of body.shapes || [null]) {
-        const [points, faces] = shape ? triangles(shape) : makeSolid(body.solid);
+        const [points, faces] = shape ? triangles(shape) : makeSolid(body.solid, body.size);
         const opacity = shape?.opacity ?? 1, layer = this.layers[opacity < 1 ? 1 : 0];
         const first = layer.points.length;
         for (const point of points)

@@ -9,7 +9,7 @@ import scipy
 
 from liegroup_core.scene.names import WORLD
 from liegroup_sim_ros.analysis.acting import sample_of
-from liegroup_sim_ros.messages.markers import CUBE, CYLINDER, THINNEST, links, solid
+from liegroup_sim_ros.messages.markers import THINNEST, links, solid
 from liegroup_sim_ros.messages.touching import arrows, planes
 
 from .plots import BASE, MANY_COLOURS, label
@@ -40,7 +40,7 @@ def make_view(analysis, shapes=None):
     bodies = [
         {
             "name": label(body.name),
-            "solid": {CUBE: "box", CYLINDER: "cylinder"}.get(kind, "sphere"),
+            "solid": kind,
             "size": [max(float(length), thinnest) for length in size],
             "at": local[:3, 3].tolist(),
             "turn": local[:3, :3].ravel().tolist(),

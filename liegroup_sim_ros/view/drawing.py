@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from liegroup_core.scene.names import WORLD
-from liegroup_sim_ros.messages.markers import CUBE, SPHERE, THINNEST, links, solid
+from liegroup_sim_ros.messages.markers import CUBE, SPHERE, THINNEST, links, parts, solid
 from liegroup_sim_ros.messages.touching import arrows
 from liegroup_sim_ros.report.shapes import decoded
 
@@ -140,12 +140,11 @@ class Drawing:
         api, common = self._server.scene, {"opacity": 0.3 if ghost else None, "cast_shadow": not ghost}
         if body.name in shapes:
             return [api.add_icosphere(name, 0.2 * PART * self.size, colour, position=body.com, **common)]
-        return [self._solid(name, body, colour, common)]
+        solids = parts(*solid(body, self._layout.scene))
+        return [self._solid(f"{name}{k}", *part, colour, common) for k, part in enumerate(solids)]
 
-    def _solid(self, name, body, colour, common):
-        api = self._server.scene
-        kind, size, local = solid(body, self._layout.scene)
-        size = np.maximum(size, THINNEST * self.size)
+    def _solid(self, name, kind, size, local, colour, common):
+        api, size = self._server.scene, np.maximum(size, THINNEST * self.size)
         place = {"wxyz": _wxyz(local[:3, :3]), "position": local[:3, 3]}
         if kind == CUBE:
             return api.add_box(name, colour, tuple(size), **place, **common)

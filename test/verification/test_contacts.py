@@ -9,6 +9,7 @@ import pytest
 import scipy
 from convergence import fitted_order
 from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
 
 from liegroup_core import SceneError, Simulation
 from liegroup_core.forces.contact import SHORT
@@ -102,6 +103,63 @@ def test_a_sliding_ball_rolls_after_two_sevenths_of_its_speed():
         assert sample.twist[0, 1] == pytest.approx(5.0 / 7.0 / RADIUS, abs=1e-6)
         errors.append(abs(sample.pose[0, 9] - way))
     assert 0.9 <= fitted_order(lengths, errors) <= 1.1, errors
+
+
+def order_of(contact, exact, error):
+    """Fitted order in 1/k of the errors of two motions with a contact, from `contact` of a stiffness k."""
+    stiffness, errors = np.array([4e4, 2e5, 1e6]), []
+    for k in stiffness:
+        simulation = Simulation(contact(k), accuracy=1e-8, quiet=True)
+        simulation.advance_to(0.25)
+        errors.append(error(simulation.sample(), exact))
+    return fitted_order(1.0 / stiffness, errors), errors
+
+
+def test_a_block_that_rocks_turns_about_its_edge():
+    """Leaning by half of the angle at which it would tip over; its edge sinks and yields in proportion to 1/k."""
+    lean, reach = 0.5 * math.atan(1.0 / 3.0), math.hypot(0.1, 0.3)
+
+    def slopes(t, y):
+        return y[1], -0.75 * G / reach * math.sin(2.0 * lean - y[0])
+
+    turned = scipy.integrate.solve_ivp(slopes, (0.0, 0.25), (lean, 0.0), rtol=1e-11, atol=1e-13).y[0, -1]
+    place = f"[{-reach * math.sin(lean)}, 0, {reach * math.cos(lean)}], rotation_vector: [0, {lean}, 0]"
+    body = f"{{name: b, shape: {{type: box, size: [0.2, 0.2, 0.6], mass: 2}}, position: {place}}}"
+    keys = "name: floor, body: b, restitution: 0.3, friction: 0.8, stiffness: {}, slip: {}"
+    order, errors = order_of(
+        lambda k: scene([body], [keys.format(k, 20.0 / k)]),
+        turned,
+        lambda sample, exact: abs(math.asin(sample.pose[0, 2]) - exact),
+    )
+    assert 0.9 <= order <= 1.1, errors
+
+
+def test_a_coin_that_rolls_follows_the_joint_that_rolls():
+    """On one rim of a cylinder, as a thin wheel, leaning by 0.3 rad; what differs is proportional to 1/k."""
+    turn = Rotation.from_euler("x", 0.5 * math.pi + 0.3)
+    axis, spin = turn.as_matrix()[:, 2], 12.0 * turn.as_matrix()[:, 2] + (0.0, 0.0, 1.0)
+    across = np.array([0.0, 0.0, 1.0]) - axis[2] * axis
+    to_rim = -0.1 * across / np.linalg.norm(across)
+    rates = (turn.inv().apply(vector).tolist() for vector in (spin, np.cross(to_rim, spin)))
+    body = (
+        "{{name: coin, mass: 1, inertia: [0.0025, 0.0025, 0.005], position: [0, 0, {}], quaternion: {}, "
+        "angular_velocity: {}, linear_velocity: {}}}"
+    ).format(-to_rim[2], turn.as_quat().tolist(), *rates)
+    wheel = "joints:\n  - {name: w, type: wheel, parent: world, child: coin, radius: 0.1, child_frame: {}}"
+    rolls = Simulation(
+        scene_from_text(f"name: c\ngravity: [0, 0, {-G}]\nbodies:\n  - {body}\n{wheel}", "test"),
+        accuracy=1e-9,
+        quiet=True,
+    )
+    rolls.advance_to(0.25)
+    shape = f"{{type: cylinder, radius: 0.1, length: 0.02, position: [0, 0, {math.copysign(0.01, axis[2])}]}}"
+    keys = f"name: floor, body: coin, shape: {shape}, restitution: 0.5, friction: 0.8"
+    order, errors = order_of(
+        lambda k: scene([body], [f"{keys}, stiffness: {k}, slip: {8.0 / k}"]),
+        rolls.sample().pose[0],
+        lambda sample, exact: np.abs(sample.pose[0] - exact).max(),
+    )
+    assert 0.9 <= order <= 1.1, errors
 
 
 BRICK = "{name: brick, shape: {type: box, size: [0.4, 0.3, 0.1], mass: 3}, position: [%s, 0, %s], %s}"

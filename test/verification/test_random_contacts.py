@@ -8,7 +8,7 @@ from volume import some
 
 from liegroup_core import Simulation, SimulationError
 from liegroup_core.mechanism.body_model import initial_state
-from liegroup_core.reference import integrate
+from liegroup_core.reference import WrenchSpan, integrate
 from liegroup_core.scene.centres import at_centres_of_mass
 from liegroup_core.scene.load import scene_from_text
 
@@ -45,37 +45,48 @@ def thrown(seed):
         forces.append(f"  - {{name: f{i}, type: contact, body: b{i}, shape: {shape}, {keys}}}")
     if count == 2:
         keys = f"stiffness: {10 ** rng.uniform(3, 5)}, restitution: 0.5, friction: 0.3, slip: 1e-3"
-        shapes = f"shape: {SHAPES[0]}, other_shape: {SHAPES[rng.integers(2)]}"
+        shapes = f"shape: {SHAPES[rng.integers(2)]}, other_shape: {SHAPES[rng.integers(3)]}"
         forces.append(f"  - {{name: hit, type: contact, body: b0, other: b1, {shapes}, {keys}}}")
     lines = ["name: thrown", "gravity: [0, 0, -9.81]", "bodies:", *bodies, "forces:", *forces]
     return scene_from_text("\n".join(lines), "test")
 
 
-def reference(scene, times):
+def reference(scene, times, pushes):
     """Exact motion and its uncertainty; times that come after what the reference knows are removed."""
     try:
-        return integrate(scene, *initial_state(at_centres_of_mass(scene)), np.array(times))
+        return integrate(scene, *initial_state(at_centres_of_mass(scene)), np.array(times), pushes)
     except SimulationError:  # some motions amplify differences
         if len(times) == 2:
             raise
         times.pop()
-        return reference(scene, times)
+        return reference(scene, times, pushes)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_an_accuracy_is_kept_through_random_contacts_or_the_run_says_so(seed):
-    """The estimate is at least half of an error beyond the accuracy; the reference knows its own uncertainty."""
-    scene, times = thrown(seed), [0.0, 0.2, 0.4, 0.6]
-    exact, known = reference(scene, times)
+    """The estimate is at least half of an error beyond the accuracy; the reference knows its own uncertainty.
+
+    A third of the scenes have a push, in another third the accuracy changes by ten.
+    """
+    scene, times, rng = thrown(seed), [0.0, 0.2, 0.4, 0.6], np.random.default_rng((seed, 1))
+    wrench, start = (*rng.normal(0.0, 0.3, 3), *rng.normal(0.0, 5.0, 3)), round(rng.uniform(0.05, 0.3), 3)
+    pushes = [WrenchSpan(start, start + 0.125, "b0", wrench, "world")] if seed % 3 == 1 else []
+    exact, known = reference(scene, times, pushes)
     uncertain = max(known.position.max() / SIZE, known.angle.max())
     for accuracy in (1e-2, 1e-5, 1e-9):
-        simulation = Simulation(scene, accuracy=accuracy, horizon=1.0, quiet=True)
+        simulation, aim = Simulation(scene, accuracy=accuracy, horizon=1.0, quiet=True), accuracy
+        if pushes:
+            simulation.apply_wrench("b0", wrench, start, 0.125, axes="world")
         for k, time in enumerate(times):
+            if seed % 3 == 2 and k == 2:
+                change = 10.0 ** rng.choice([-1, 1])
+                simulation.set_accuracy(accuracy * change)
+                aim = accuracy * max(1.0, change)  # what was lost before remains
             simulation.advance_to(time)
             sample = simulation.sample()
             error = max(
                 np.abs(sample.pose_matrices[:, :3, 3] - exact.position[k]).max() / SIZE,
                 np.abs(sample.pose_matrices[:, :3, :3] - exact.rotation[k]).max(),
             )
-            assert error <= max(accuracy, 2.0 * simulation.largest_error) + uncertain, (accuracy, time)
+            assert error <= max(aim, 2.0 * simulation.largest_error) + uncertain, (accuracy, time)
     assert uncertain <= 1e-6

@@ -167,6 +167,8 @@ def advance_controlled(model, work, scheme, h, steps, pose_in, twist_in, externa
                 planned = unlike(work, control, h, count)
             count = max(count, planned)
             size = remaining / count
+            if remaining == h and control.coarse[0] > 0.0:  # after an event, whose time is that of the simulation
+                count, size = count + 1, size * DIVIDED
             status = attempt(model, work, scheme, size, start, h - remaining, first, pose, twist, external)
             attempts += 1
             if status == OK:
