@@ -21,10 +21,10 @@ With an accuracy both run ahead (methods/munthe_kaas/ahead.py): their substeps f
 their states at any time are those of interpolants, whose errors are part of the distance. Checkpoints follow after
 up to SUBSTEPS substeps, and earlier where the distance grows fast. In between, the two are compared when an estimate
 is read, and PART of the horizon after the last look; an estimate above the accuracy makes that a checkpoint, too.
-An event is a common time of both. Up to it the companion takes smaller steps, and after it a smaller one first, because
-equal steps have equal errors. There the companion's error may be the smaller one, so that with events all of the
-distance counts. So it does once a substep was near a singular pose, or had an error far above the expected one, as where
-a force jumps: there the order is not seen. A substep that would be the same for both is divided by the companion
+An event is a common time of both. Up to it the companion takes smaller steps, and after it a smaller one first,
+because equal steps have equal errors. There the companion's error may be the smaller one, so that with events all of
+the distance counts. So it does once a substep was near a singular pose, or had an error far above the expected one, as
+where a force jumps: there the order is not seen. A substep that would be the same for both is divided by the companion
 (error_control.DIVIDED).
 
 Instants of sampled laws end many steps of both, so that errors of the companion would be larger in some and smaller in

@@ -204,7 +204,7 @@ def links(scene):
 
 
 def solid(body, scene):
-    """("box", "capsule", "cylinder" or "sphere", edges (3,) in m, pose (4, 4) in the body frame) of a body of a scene."""
+    """("box", "capsule", "cylinder" or "sphere", edges (3,) in m, pose (4, 4) in the body's frame) of a body."""
     local = np.eye(4)
     shape = body.shape
     rolling = next((j for j in scene.joints if j.child == body.name and hasattr(j, "radius")), None)
