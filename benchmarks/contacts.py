@@ -1,19 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """Contacts compared with Drake's continuous plant: CPU time against error, and the estimate of the error.
 
-    python benchmarks/contacts.py [bodies | robots] [--json FILE]
+    python benchmarks/contacts.py [bodies | same | robots] [--json FILE]
 
     ball     it skids on a plane and then rolls
     box      on four spheres it is thrown on a plane, tumbles and comes to rest
     robots   of example-robot-data fall 1 cm on the ground; servos hold their pose for 5 s. All collision shapes touch
 
 Stiffness 1e5 N/m, dissipation 1 s/m, friction 0.5: the same normal force as Drake's point contact, which is that of
-Hunt and Crossley. Its friction is regularised, ours yields by a length, so each is compared with itself at the tightest
-accuracy: Drake with steps of 5 us. Drake (`pip install drake`) is omitted if it is not installed.
+Hunt and Crossley; of two surfaces it has two springs in series. Without friction both programs have the same motion:
+`same` prints the largest difference of poses. Its friction is regularised, ours yields by a length, so there each is
+compared with itself at the tightest accuracy: Drake with steps of 5 us. Drake (`pip install drake`) is omitted if it is
+not installed.
 """
 
 import argparse
 import importlib.util
+import itertools
 import json
 import tempfile
 import time
@@ -32,7 +35,8 @@ SECONDS, ROUNDS = 2.0, 3
 CORNERS = [(x, y, -0.05) for x in (0.2, -0.2) for y in (0.15, -0.15)]
 TURN, SPIN, SPEED = Rotation.from_euler("ZYX", [0.1, 0.2, 0.3]), (1.0, 2.0, 0.5), (0.5, 0.3, 0.0)
 SOLID = [2.0 / 12.0 * (a * a + b * b) for a, b in ((0.3, 0.1), (0.4, 0.1), (0.4, 0.3))]
-KEYS = "type: contact, body: b, stiffness: 1e5, damping: 1, friction: 0.5, slip: 1e-4"
+SLIDES = ", friction: 0.5, slip: 1e-4"
+KEYS = f"type: contact, body: b, stiffness: 1e5, damping: 1{SLIDES}"
 BALL = (
     "- {name: b, mass: 1, inertia: [0.004, 0.004, 0.004], position: [0, 0, 0.1], linear_velocity: [2, 0, 0]}",
     [f"- {{name: s, {KEYS}, shape: {{type: sphere, radius: 0.1}}}}"],
@@ -69,11 +73,10 @@ ROBOTS = {
 HOLD, DROP, DAMPING, LENGTH = 2.0, 0.01, 0.02, 0.4  # weight times m; m; s; m
 
 
-def scene_of(name):
+def scene_of(name, friction=True):
     body, contacts = SCENES[name]
-    return scene_from_text(
-        "\n".join([f"name: {name}\ngravity: [0, 0, -9.81]\nbodies:", body, "forces:", *contacts]), name
-    )
+    text = "\n".join([f"name: {name}\ngravity: [0, 0, -9.81]\nbodies:", body, "forces:", *contacts])
+    return scene_from_text(text if friction else text.replace(SLIDES, ""), name)
 
 
 def own(name, accuracy):
@@ -89,8 +92,8 @@ def own(name, accuracy):
     return 1e3 * best / SECONDS, sample.pose[0, :9].reshape(3, 3), float(simulation.largest_error)
 
 
-def of_drake(name, scheme, accuracy, step=None):
-    """(ms per simulated second, rotation matrix) of Drake's continuous plant."""
+def of_drake(name, scheme, accuracy, step=None, friction=0.5, end=SECONDS):
+    """(ms per simulated second, rotation matrix, position) of Drake's continuous plant."""
     import pydrake.all as drake
 
     builder = drake.DiagramBuilder()
@@ -98,8 +101,8 @@ def of_drake(name, scheme, accuracy, step=None):
 
     def properties():
         made = drake.ProximityProperties()
-        friction = drake.CoulombFriction(0.5, 0.5)
-        drake.AddContactMaterial(dissipation=1.0, point_stiffness=1e5, friction=friction, properties=made)
+        kind = drake.CoulombFriction(friction, friction)
+        drake.AddContactMaterial(dissipation=1.0, point_stiffness=2e5, friction=kind, properties=made)
         return made
 
     ground = plant.world_body(), drake.RigidTransform(), drake.HalfSpace()
@@ -133,9 +136,23 @@ def of_drake(name, scheme, accuracy, step=None):
         integrator.set_maximum_step_size(step)
     simulator.Initialize()
     start = time.process_time()
-    simulator.AdvanceTo(SECONDS)
-    spent = time.process_time() - start
-    return 1e3 * spent / SECONDS, plant.EvalBodyPoseInWorld(context, body).rotation().matrix()
+    simulator.AdvanceTo(end)
+    spent, pose = time.process_time() - start, plant.EvalBodyPoseInWorld(context, body)
+    return 1e3 * spent / end, pose.rotation().matrix(), pose.translation()
+
+
+def of_same():
+    """[(scene, accuracy, Drake's step in us, largest difference of position in m and of rotation matrices)] at 1 s."""
+    rows = []
+    for name in SCENES:
+        theirs = {step: of_drake(name, "runge_kutta3", 1e-9, step, 0.0, 1.0) for step in (2e-5, 1e-5)}
+        for accuracy, (step, (_, turn, place)) in itertools.product((1e-3, 1e-9), theirs.items()):
+            simulation = Simulation(scene_of(name, friction=False), accuracy=accuracy, quiet=True)
+            simulation.advance_to(1.0)
+            pose = simulation.sample().pose[0]
+            apart = np.abs(pose - np.concatenate([turn.ravel(), place])).max()
+            rows.append((name, accuracy, 1e6 * step, float(apart)))
+    return rows
 
 
 def robot_scene(path, srdf, links, folder):
@@ -208,16 +225,18 @@ def of_bodies():
             rows.append((name, "here", accuracy, cost, angle(turn, exact), estimate))
         if not has_drake:
             continue
-        _, exact = of_drake(name, "runge_kutta3", 1e-9, step=5e-6)
+        _, exact, _ = of_drake(name, "runge_kutta3", 1e-9, step=5e-6)
         for scheme in ("cenic", "radau3", "runge_kutta3", "implicit_euler"):
             for accuracy in (1e-2, 1e-3, 1e-4, 1e-5, 1e-6):
-                cost, turn = min((of_drake(name, scheme, accuracy) for _ in range(ROUNDS)), key=lambda each: each[0])
+                runs = [of_drake(name, scheme, accuracy) for _ in range(ROUNDS)]
+                cost, turn, _ = min(runs, key=lambda each: each[0])
                 rows.append((name, f"Drake {scheme}", accuracy, cost, angle(turn, exact), None))
     return rows
 
 
 COLUMNS = {
     "bodies": ("scene", "program", "accuracy", "CPU ms per s", "error, rad", "estimate, rad or of the size"),
+    "same": ("scene", "accuracy", "Drake's step, us", "largest difference"),
     "robots": ("robot", "accuracy", "bodies", "points", "CPU s per s", "estimate", "J lost", "height, m"),
 }
 
@@ -237,7 +256,7 @@ def main():
             folder = Path(cmeel.origin).parents[1] / "cmeel.prefix/share/example-robot-data/robots"
         rows = of_robots(folder)
     else:
-        rows = of_bodies()
+        rows = of_same() if arguments.what == "same" else of_bodies()
     keys = COLUMNS[arguments.what]
     table = Table(*keys)
     for row in rows:
