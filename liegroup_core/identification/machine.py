@@ -274,8 +274,9 @@ class Machine:
         """State with a change (c,) along its ways; the Probe is at the state."""
         if not change.any():
             return state
-        _, pose, twist = self.probe.closed(np.tensordot(change, ways, 1))
-        return replace(state, pose=pose, twist=twist, angles=self.layout.angles(pose, state.angles))
+        rates, pose, twist = self.probe.closed(np.tensordot(change, ways, 1))
+        angles = self.probe.with_states(self.layout.angles(pose, state.angles), rates)
+        return replace(state, pose=pose, twist=twist, angles=angles)
 
     def follow(self, other, state):
         """State of this scene with the joints' coordinates and rates of another scene's Machine at a state."""
@@ -301,13 +302,17 @@ class Machine:
             rate = path.joints[np.searchsorted(seen, segment.places[t]), self.layout.coordinates.names.index(joint), 1]
             found[t][:, k] += law.against(rate)
         k = np.searchsorted(seen, segment.end)
-        found.append(self.place(path.poses[k], path.twists[k]) if segment.end >= 0 else np.zeros(0))
+        found.append(self.place(path.poses[k], path.twists[k], path.angles[k]) if segment.end >= 0 else np.zeros(0))
         return found
 
-    def place(self, pose, twist):
-        """(z,) poses (n, 12) and twists (n, 6), with lengths by the mechanism's size, for differences of states."""
-        size = self.layout.size
-        return np.concatenate([(pose / ([1.0] * 9 + [size] * 3)).ravel(), (twist / ([1.0] * 3 + [size] * 3)).ravel()])
+    def place(self, pose, twist, angles):
+        """(z,) poses (n, 12), twists (n, 6), with lengths by the mechanism's size, and states of laws, which end angles.
+
+        For differences of states.
+        """
+        size, of_laws = self.layout.size, len(angles) - len(self.layout.model.forces.laws.states)
+        scaled = pose / ([1.0] * 9 + [size] * 3), twist / ([1.0] * 3 + [size] * 3), angles[of_laws:]
+        return np.concatenate([each.ravel() for each in scaled])
 
     def path(self, segment, state, seen, extra=None, halves=0):
         """Path at chosen times of a Segment, from a state; seen : their numbers. Others as of `run`."""

@@ -140,7 +140,7 @@ class Runs:
                 raise SimulationError(f"the run from {segment.start:.9g} s on: {error}", error.status) from None
             if segment.end >= 0:
                 after = machine.timed(nexts[k + 1], segments[k + 1].start)
-                one[-1] -= machine.place(after.pose, after.twist)
+                one[-1] -= machine.place(after.pose, after.twist, after.angles)
             found.append(one)
         return found
 
@@ -148,8 +148,8 @@ class Runs:
         """[(c, z)] of segments: the changes of a start by its scales that change its `place` nearest to z."""
         machine, found = self.machine(point.values), []
         for _, state, _, beside in self.starts(point):
-            base = machine.place(state.pose, state.twist)
-            ways = np.array([(machine.place(each.pose, each.twist) - base) / CHANGE for each in beside])
+            base = machine.place(state.pose, state.twist, state.angles)
+            ways = np.array([(machine.place(each.pose, each.twist, each.angles) - base) / CHANGE for each in beside])
             found.append(np.linalg.pinv(ways.T) if len(ways) else np.zeros((0, len(base))))
         return found
 
