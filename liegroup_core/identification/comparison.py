@@ -208,13 +208,17 @@ def compare(scene, log, workers=None):
 def fitted(scene, log, names=(), workers=None, limits=None, priors=None, held_out=0.0):
     """(Fit, near Solution, tied Solution, bounds of the segments left out).
 
-    Segments, each with a start of its own, are as long as the model is near to the measurements in them. Then starts
-    are tied, with less and less slack: the end of each segment is the start of the next, as in one run along the log.
+    One run along the log with the numbers of the scene shows whether these are near. Segments, each with a start of its
+    own, are as long as the model is near to the measurements in them. Then starts are tied, with less and less slack:
+    the end of each segment is the start of the next, as in one run along the log.
 
     names, limits, priors : of numbers that vary, see Fit
     held_out : share of the segments, at the end, that are left out
     """
     fit, point = begin(scene, log, names, workers, limits, priors)
+    whole = _whole(fit, point) if names else None
+    if whole is not None and is_in_reach(fit, whole):
+        point = replace(whole.point, bounds=point.bounds, states=())
     length, few = _length(fit, point)
     point = few.point
     bounds = _divided(log.usable.spans, length)
@@ -223,7 +227,10 @@ def fitted(scene, log, names=(), workers=None, limits=None, priors=None, held_ou
         near = refined(fit, fit.solve(_in_turn(fit, continued(fit, bounds[:kept], point)), ROUGHLY))
         point = near.point
         if _is_near(fit, near) or length <= shortest(fit.runs.log):
-            return fit, near, tied(fit, near), bounds[kept:]
+            found = tied(fit, near, whole)
+            if found.cost < near.cost:  # free starts can only be nearer than tied ones: these went astray
+                near = fit.solve(continued(fit, near.point.bounds, found.point), ROUGHLY)
+            return fit, near, found, bounds[kept:]
         (first, last), length = bounds.T, 0.5 * length
         bounds = np.stack([first, 0.5 * (first + last), 0.5 * (first + last), last], axis=1).reshape(-1, 2)
 
@@ -237,17 +244,27 @@ def _length(fit, point, count=FEW_SEGMENTS):
     priors = np.where(known, fit.priors, np.column_stack([point.values, numbers.scales]))
     few = Fit(fit.runs, list(fit.deviation), fit.free, fit.limits, priors, fit.workers, late)
     while best is None or 2.0 * best <= most:
-        bounds = [
-            (start, min(start + length, last + 1e-6))
-            for first, last in spans
-            for start in first + (last - first) * np.arange(count) / count
-        ]
-        point = in_short_steps(few, continued(few, np.array(bounds), point))
+        point = in_short_steps(few, continued(few, _some(spans, length, count), point))
         solution = refined(few, few.solve(point, ROUGHLY))
         if best is not None and not _is_near(few, solution):
             break
         best, found, point, length = length, solution, solution.point, 2.0 * length
     return best, found
+
+
+def _some(spans, length, count=FEW_SEGMENTS):
+    """Bounds (s, 2) of some parts of recordings with a length in s."""
+    starts = [(start, last) for first, last in spans for start in first + (last - first) * np.arange(count) / count]
+    return np.array([(start, min(start + length, last + 1e-6)) for start, last in starts])
+
+
+def _whole(fit, point):
+    """Solution of one run along each recording, from given numbers on; None: it cannot be simulated."""
+    spans = fit.runs.log.spans
+    halves = in_short_steps(fit, continued(fit, _some(spans, shortest(fit.runs.log)), point)).halves
+    with suppress(SimulationError):
+        return fit.solve(continued(fit, _divided(spans, np.inf), replace(point, halves=halves)), ROUGHLY)
+    return None
 
 
 def _in_turn(fit, point):
@@ -265,18 +282,23 @@ def _in_turn(fit, point):
     return replace(point, states=tuple(states))
 
 
-def tied(fit, found):
+def tied(fit, found, whole=None):
     """Solution whose segments make one run of each recording, from one whose segments are free.
 
     Where motions forget their starts, as in contacts, starts of segments go astray; then one run is near to begin with.
+
+    whole : Solution with which the search began: what is found is not farther from the measurements; None: none
     """
-    with suppress(SimulationError):
-        one = fit.solve(_as_one(fit, found.point), ROUGHLY, slack=SLACKS[-1])
-        if one.converged and excess(fit, one) <= LINEAR:
-            return one
+    point, others = _as_one(fit, found.point), []
+    begins = [point] if whole is None else [point, replace(whole.point, bounds=point.bounds)]
+    for begin in begins:
+        with suppress(SimulationError):
+            others.append(fit.solve(begin, ROUGHLY, slack=SLACKS[-1]))
+            if is_in_reach(fit, others[-1]):
+                return others[-1]
     for slack in SLACKS:
         found = fit.solve(found.point, ROUGHLY, found, slack)
-    return found
+    return min(found, *others, key=lambda each: each.cost) if others else found
 
 
 def _as_one(fit, point):
@@ -300,6 +322,11 @@ def _divided(spans, length):
 def _is_near(fit, solution):
     """Whether the model explains the segments, and differences are linear in them."""
     return solution.converged and excess(fit, solution) <= LINEAR and solution.growth <= PARTED
+
+
+def is_in_reach(fit, solution):
+    """Whether a search has ended near to the noise, or to the measurements."""
+    return bool(solution.converged and (solution.reduced <= NOISY or excess(fit, solution) <= LINEAR))
 
 
 def refined(fit, solution):
@@ -348,7 +375,7 @@ def excess(fit, solution):
 def judged(fit, near, solution):
     """Comparison of a tied Solution; near: one whose segments are free, and near to the measurements."""
     tied_near = fit.solution(near.point, near.outputs, near.linear, SLACKS[-1])
-    judge = Effects(fit, solution if excess(fit, solution) <= LINEAR and solution.converged else tied_near)
+    judge = Effects(fit, solution if is_in_reach(fit, solution) else tied_near)
     columns = [np.flatnonzero(np.isfinite(each.values).any(axis=0)) for each in fit.runs.log.measured]
     jointly = min(white(fit, solution, t, own) for t, own in enumerate(columns) if len(own)) * len(columns)
     errors = numerics(fit, solution.point, solution.outputs)
@@ -392,13 +419,15 @@ def begin(scene, log, names=(), workers=None, limits=None, priors=None, is_late=
 def covariance_of(fit, solution, columns, is_white):
     """(g, g) covariance of free delays and numbers, of columns (m, g) of a Solution and of what is known before.
 
-    Without white residuals it is robust: that of correlated ones (Newey and West 1987).
+    Without white residuals it is robust: that of correlated ones (Newey and West 1987). Numbers make up for errors of
+    the integration, so that residuals may be smaller than these: then they count as if they were as large.
     """
     plain = covariance(columns)
     if is_white:
         return plain * max(1.0, solution.reduced)
     finite = np.where(np.isfinite(plain), plain, 0.0)
-    return np.where(np.isfinite(plain), finite @ _spread(fit, solution) @ finite, plain)
+    least = max(1.0, PART**2 / max(solution.reduced, np.finfo(float).tiny))
+    return np.where(np.isfinite(plain), least * finite @ _spread(fit, solution) @ finite, plain)
 
 
 def _spread(fit, solution):

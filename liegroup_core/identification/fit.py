@@ -44,6 +44,7 @@ class Solution:
     residuals  : [[(r, p)]] of each segment and Measured, measured minus outputs, NaN where nothing was measured
     outputs    : [[(r, p)]], and gaps (z,) to the next start
     chain      : Chain of the columns of the weighted outputs, with free delays, then numbers by their scales
+    cost       : mean square that the fit minimises, see `Fit.cost`
     growth     : largest change of an output with a start that changes by 1 rad or the mechanism's size, by the spread
                  of the output; of outputs that show a motion
     converged  : whether the last step was small
@@ -56,6 +57,7 @@ class Solution:
     residuals: list
     outputs: list
     chain: Chain
+    cost: float
     growth: float
     converged: bool
     linear: list
@@ -240,8 +242,9 @@ class Fit:
             size = np.concatenate([np.tile(of, len(values)) for of, values in zip(sizes, one)])
             growth = max(growth, np.abs(size[:, None] * part.own).max(initial=0.0))
         columns = [part._replace(rest=r) for part, r in zip(columns, rest)]
-        chain = Chain(_at(columns, rest, outputs, slack))
-        return Solution(point, residuals, outputs, chain, growth, converged, columns, list(self.deviation), slack)
+        parts = _at(columns, rest, outputs, slack)
+        chain, cost = Chain(parts), self.cost(point, parts)
+        return Solution(point, residuals, outputs, chain, cost, growth, converged, columns, list(self.deviation), slack)
 
     def residuals(self, point, outputs):
         """[[(r, p)]] measured minus outputs."""

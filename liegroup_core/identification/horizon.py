@@ -128,9 +128,9 @@ def horizons(fit, near, solution, ends=None, since=-np.inf):
     point = _long(fit, moved, list(owners))
     kinds = [each.units for each in runs.machine(point.values).outputs]
     residuals = fit.residuals(point, outputs)
-    explained = _explained(fit, near, outputs, [(k, known[k]) for k in owners])
-    numerical, found = fit.errors(outputs, finer), []
     segments, shown = runs.segments(point), np.zeros(len(owners))
+    explained = _explained(fit, near, segments, [(k, known[k]) for k in owners])
+    numerical, found = fit.errors(outputs, finer), []
     if ends is not None:
         shown = np.diff(near.point.bounds)[list(owners), 0]
     for t, each in enumerate(runs.log.measured):
@@ -211,30 +211,33 @@ def _long(fit, point, numbers):
     return replace(point, bounds=np.column_stack([firsts, ends]), states=tuple(point.states[k] for k in numbers))
 
 
-def _explained(fit, near, outputs, owners):
+def _explained(fit, near, runs, owners):
     """[[(r, p)]] standard deviations of outputs by the uncertainty of starts, delays and numbers; inf: not linear.
 
-    Along the segments of a Solution; owners : [(number of a start, covariance of it and of what is shared)]
+    runs   : [Segment], along which those of a Solution lead; with other delays they have other rows next to their ends
+    owners : [(number of a start, covariance of it and of what is shared)]
     """
-    found = []
-    for (k, P), own in zip(owners, outputs):
-        variances = [[] for _ in own[:-1]]
+    found, segments = [], fit.runs.segments(near.point)
+    for (k, P), own in zip(owners, runs):
+        variances, seen = [[] for _ in own.rows], [[] for _ in own.rows]
         while True:
             part, tie = near.linear[k], near.linear[k].tie
             J = np.hstack([part.own, part.shared])
             rows, at = np.einsum("ki,ij,kj->k", J, P, J), 0
-            for parts, rest in zip(variances, near.residuals[k]):
+            for parts, numbers, rest, measured in zip(variances, seen, near.residuals[k], segments[k].rows):
                 parts.append(rows[at : at + rest.size].reshape(rest.shape))
+                numbers.append(measured)
                 at += rest.size
             if tie is None:
                 break
             on = np.vstack([np.hstack([tie.own, tie.shared]), np.eye(len(P))[part.own.shape[1] :]])
             P, k = on @ P @ on.T, k + 1
         deviations = []
-        for t, (parts, of) in enumerate(zip(variances, own)):
+        for t, (parts, numbers, of) in enumerate(zip(variances, map(np.concatenate, seen), own.rows)):
             here = np.sqrt(np.maximum(np.vstack(parts), 0.0)) * fit.deviation[t]  # round-off may be negative
             spread = fit.runs.log.measured[t].spread
             here = np.where(here < np.maximum(spread, fit.deviation[t]), here, np.inf)
-            deviations.append(here[: len(of)])
+            known = np.vstack([here, np.full(len(spread), np.inf)])
+            deviations.append(known[np.minimum(np.searchsorted(numbers, of), max(len(numbers) - 1, 0))])
         found.append(deviations)
     return found

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .comparison import Comparison, covariance_of, fitted, judged, tied
+from .comparison import Comparison, covariance_of, fitted, is_in_reach, judged, tied
 from .contradictions import channel_fits
 from .fit import Fit
 from .log import ENOUGH
@@ -44,6 +44,11 @@ class Identification:
     def is_robust(self):
         """Whether deviations are those of correlated residuals, as residuals are not white."""
         return not self.comparison.is_white
+
+    @property
+    def is_in_reach(self):
+        """Whether the search ended near to the noise; else the numbers are the nearest ones that it found."""
+        return is_in_reach(self.comparison.fit, self.comparison.solution)
 
     @property
     def intervals(self):

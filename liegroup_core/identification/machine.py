@@ -306,9 +306,9 @@ class Machine:
         return found
 
     def place(self, pose, twist, angles):
-        """(z,) poses (n, 12), twists (n, 6), with lengths by the mechanism's size, and states of laws, which end angles.
+        """(z,) poses (n, 12), twists (n, 6), with lengths by the mechanism's size, and states of laws.
 
-        For differences of states.
+        For differences of states. angles : (k,) as Sample.angles, which states of laws end
         """
         size, of_laws = self.layout.size, len(angles) - len(self.layout.model.forces.laws.states)
         scaled = pose / ([1.0] * 9 + [size] * 3), twist / ([1.0] * 3 + [size] * 3), angles[of_laws:]

@@ -198,6 +198,7 @@ def _figures(found):
                 found.paths, found.before, found.values, finite, found.intervals
             )
         ],
+        "in_reach": found.is_in_reach,
         "robust": found.is_robust,
         "correlation": np.where(np.isfinite(found.correlation), found.correlation, 0.0).tolist(),
         "unknown": found.unknown,

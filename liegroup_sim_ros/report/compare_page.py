@@ -125,8 +125,13 @@ EFFECTS = {
 
 
 def number_remarks(result):
-    """Sentences on robust intervals, on what the log does not show, and on segments that were left out."""
+    """Sentences on a search that failed, robust intervals, what the log does not show, and segments left out."""
     found = []
+    if not result["in_reach"]:
+        found.append(
+            "no run near to the noise was found: the numbers are the nearest of the search, and their intervals do not "
+            "hold; change the model, its numbers, or give limits"
+        )
     if result["robust"]:
         found.append("residuals are not white: the intervals are robust, of correlated residuals (Newey and West)")
     for one in result["unknown"]:

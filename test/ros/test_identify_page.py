@@ -33,6 +33,7 @@ def test_the_page_names_the_friction_and_finds_it(tmp_path, monkeypatch, capsys)
     assert not compared["agrees"] and compared["effects"][0]["text"] == "viscous friction of hinge"
     assert "Viscous friction of hinge" in Path("compare.html").read_text()
     # What rounding leaves is not white.
+    assert identified["in_reach"] and "no run near" not in text
     assert identified["robust"] and all("intervals are robust" in t for t in (text, Path("identify.html").read_text()))
     (number,) = identified["numbers"]
     value, half = map(float, re.search(r"finds ([\d.]+) ± ([\d.]+\d)", PAGE).groups())
@@ -41,3 +42,9 @@ def test_the_page_names_the_friction_and_finds_it(tmp_path, monkeypatch, capsys)
     assert identified["effects"][0]["text"].startswith("offset of hinge.position")
     assert identified["effects"][0]["value"] == pytest.approx(-0.0005, abs=5e-5)
     assert f"# joints.hinge.friction.viscous: {number['value']:.9g} ± " in Path("found.yaml").read_text()
+    # On the moon no friction makes the model fit.
+    Path("model.yaml").write_text(Path("model.yaml").read_text().replace("-9.81", "-1.62"))
+    bag = [*commands[2][1:6], "hinge.friction.viscous", "--html", "far.html", "--json", "far.json"]
+    assert main(bag) == 0 and not json.loads(Path("far.json").read_text())["in_reach"]
+    text = " ".join(capsys.readouterr().out.split())
+    assert all("no run near to the noise was found" in each for each in (text, Path("far.html").read_text()))

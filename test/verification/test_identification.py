@@ -660,3 +660,49 @@ def test_numbers_of_contacts_are_found(truth, wrong, names):
     assert (np.abs(found.values - true) < 4.0 * found.deviations).all()
     assert (found.deviations < 0.02 * true).all()
     assert found.comparison.solution.reduced < 1.5
+
+
+ROD = """
+name: rod
+assemble: true
+gravity: [0, 0, -9.81]
+bodies: [{name: rod, mass: 0.8, inertia: [0.05, 0.05, 0.01], com: [0, 0, -0.5]}]
+joints:
+  - {name: pin, type: revolute, parent: world, child: rod, parent_frame: {axis: [0, 1, 0]},
+     child_frame: {axis: [0, 1, 0]}, coordinate: 0.2}
+forces:
+  - {name: law, type: law, inputs: {q: pin.position, w: pin.velocity}, outputs: [{joint: pin, effort: u}],
+     parameters: NUMBERS, LAW}
+"""
+PID = (
+    "states: {s: {rate: 1.2 - q + aw*(u - raw)/40}}, signals: {raw: kp*(1.2 - q) + 40*s - kd*w, u: 'clip(raw, -5, 5)'}"
+)
+MOTOR = "states: {i: {rate: (7*cos(4*t) - R*i - k*w)/L, start: 0.5}}, signals: {u: k*i}"
+# Laws, numbers of the machine, where the search begins, and s of the first message.
+LAWS = {
+    "pid": (PID, {"kp": 25.0, "aw": 8.0, "kd": 3.0}, {"kp": 20.0, "aw": 6.0, "kd": 3.5}, 0.0),
+    "pid, later": (PID, {"kp": 25.0, "kd": 3.0, "aw": 8.0}, {"kp": 35.0, "kd": 4.0, "aw": 8.0}, 0.3),
+    "motor": (MOTOR, {"R": 1.1, "L": 0.02, "k": 0.9}, {"R": 1.65, "L": 0.03, "k": 0.6}, 0.0),
+}
+
+
+@pytest.mark.parametrize("name", LAWS)
+@pytest.mark.turn(2)
+def test_numbers_of_laws_with_states_are_found(name):
+    """From up to half away and without noise. A later log begins when the state of the law is not that of the scene.
+
+    Short segments do not show the numbers of the motor: from these its search alone leads away.
+    """
+    law, true, wrong, since = LAWS[name]
+    first, other = (
+        scene_from_text(ROD.replace("LAW", law).replace("NUMBERS", str(of).replace("'", ""))) for of in (true, wrong)
+    )
+    times, moves = np.arange(since, since + 2.0, 0.01), [key for key in true if true[key] != wrong[key]]
+    rows = [
+        sample.joint_coordinates["pin"][0] for sample in Simulation(first, accuracy=1e-9, quiet=True).samples(times)
+    ]
+    log = Log((), (Measured("/pin", times, ("pin.position",), np.array(rows)[:, None], np.full(1, np.nan), 0.0),))
+    found = identify(other, log, [f"law.{key}" for key in moves], workers=1)
+    off = np.abs(found.values - [true[key] for key in moves])
+    assert found.is_in_reach and (off < 4.0 * found.deviations).all()
+    assert (found.deviations < 0.1 * found.values).all()
