@@ -290,7 +290,9 @@ def tied(fit, found, whole=None):
     whole : Solution with which the search began: what is found is not farther from the measurements; None: none
     """
     point, others = _as_one(fit, found.point), []
-    begins = [point] if whole is None else [point, replace(whole.point, bounds=point.bounds)]
+    begins = [point]
+    if whole is not None:
+        begins.append(replace(whole.point, bounds=point.bounds, states=whole.point.states[: len(point.bounds)]))
     for begin in begins:
         with suppress(SimulationError):
             others.append(fit.solve(begin, ROUGHLY, slack=SLACKS[-1]))

@@ -338,6 +338,20 @@ def test_a_second_clock_may_be_silent(kept):
         assert abs(delay - 0.003) < 4.0 * deviation < 1e-3
 
 
+def test_two_clocks_are_late():
+    """Delays that the ties of segments show move measurements into other segments. Values are rounded."""
+    log = log_of(machine("furuta"), "furuta", 2, **SHORT)
+    (one,) = log.measured
+    values, unknown = np.round(one.values, 3), np.full(2, np.nan)
+    halves = [
+        replace(one, name=f"/{k}", channels=one.channels[k : k + 2], values=values[:, k : k + 2], deviation=unknown)
+        for k in (0, 2)
+    ]
+    found = identify(machine("furuta"), Log(log.inputs, tuple(halves)), ["rod.shape.mass"], workers=1)
+    assert {each.topic for each in found.comparison.horizons} == {"/0", "/2"}
+    assert all(abs(delay - DELAY) < 4.0 * sigma < 1e-3 for delay, sigma in found.comparison.delays.values())
+
+
 def test_a_log_may_begin_before_its_first_message():
     """The clock is late, so that the start is before the first stamp; a push of the scene begins at its time."""
     text = "forces: [{name: push, type: applied_wrench, body: rod, force: [0, 0.3, 0], start: 0.1, end: 0.15}]\n"
