@@ -111,7 +111,10 @@ def horizons(fit, near, solution, ends=None, since=-np.inf):
     shared = np.nan_to_num(solution.covariance, posinf=0.0)
     known = near.chain.covariances(shared)
     changes = [a - b for a, b in zip(near.chain.starts(step), near.chain.starts(0.0 * step))]
-    moved = fit.moved(near.point, changes, step)
+    try:
+        moved = fit.moved(near.point, changes, step)
+    except SimulationError:  # the numbers are far from those of `near`
+        return []
     finer = replace(moved, halves=moved.halves + 1)
 
     def run(k):
