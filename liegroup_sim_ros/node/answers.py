@@ -4,11 +4,16 @@
 A callback of a service gets (request, response). It returns the response, or one line of text for a
 response that reports success. It may be a coroutine that waits for other threads: meanwhile the
 executor runs other callbacks. An exception that it raises becomes a response, too.
+
+Such a coroutine yields the Future that it waits for, and goes on in the executor when that is done. A coroutine of
+rclpy would be called again and again until then.
 """
 
 import concurrent.futures
 import inspect
 import threading
+from collections.abc import Coroutine
+from typing import NamedTuple
 
 from rclpy.node import Node
 
@@ -16,16 +21,17 @@ from liegroup_core.errors import LieGroupSimError
 
 from .standard_codes import FAILED, OK, Refused
 
-FIRST, NEXT = 0.02, 0.002  # s, waiting times of the executor: the first, and those between other callbacks
+PAUSE = 1e-3  # s
 SHOWN = 300  # characters of an unexpected error
 ENDING = "the node is shutting down"
 
 
 class AnsweringNode(Node):
-    """Node whose services and subscriptions survive exceptions of their callbacks.
+    """Node whose services and subscriptions survive exceptions of their callbacks."""
 
-    signals : Signals; attribute to set before services are called
-    """
+    def __init__(self, *arguments, **options):
+        self._waiting = set()  # functions that continue a coroutine
+        super().__init__(*arguments, **options)
 
     def create_service(self, srv_type, srv_name, callback, **options):
         """Same as Node.create_service; the module docstring says what the callback may return."""
@@ -33,32 +39,43 @@ class AnsweringNode(Node):
         def serve(request, _):
             work = self._answer(srv_type, srv_name, callback, request)
             try:
-                work.send(None)
+                return _Waiting(work, work.send(None))
             except StopIteration as done:
                 return done.value
-            return work  # a coroutine that waits; `send` resumes it
 
         service = super().create_service(srv_type, srv_name, serve, **options)
         send_now = service.send_response
 
         def send(response, header):
-            if not inspect.iscoroutine(response):
+            if isinstance(response, _Waiting):
+                self._continue(*response, lambda answer: send_now(answer, header))
+            else:
                 send_now(response, header)
-                return
-
-            async def finish():
-                while True:
-                    try:
-                        response.send(None)
-                    except StopIteration as done:
-                        send_now(done.value, header)
-                        return
-                    await Turn()
-
-            self.executor.create_task(finish)
 
         service.send_response = send
         return service
+
+    def _continue(self, work, future, send):
+        """Continue a coroutine when the Future that it waits for is done; `send` takes its result."""
+
+        def go_on():
+            if go_on not in self._waiting:
+                return
+            self._waiting.discard(go_on)
+            try:
+                following = work.send(None)
+            except StopIteration as done:
+                send(done.value)
+            else:
+                self._continue(work, following, send)
+
+        self._waiting.add(go_on)
+        future.add_done_callback(lambda _: self.executor.create_task(go_on))
+
+    def end_waits(self):
+        """Answer what still waits, because the node ends and its executor no longer runs."""
+        for go_on in list(self._waiting):
+            go_on()
 
     def create_subscription(self, msg_type, topic, callback, qos_profile, **options):
         """Same as Node.create_subscription."""
@@ -90,30 +107,50 @@ class AnsweringNode(Node):
         self.get_logger().error(f"{name}: {text}", throttle_duration_sec=1.0)
         return text
 
-    async def wait(self, future, alive=lambda: True):
-        """Result of a concurrent Future. Raises its exception, or Refused if the node ends or `alive()` is false."""
-        longest = FIRST
-        while not concurrent.futures.wait([future], longest).done:
-            if self.signals.received or not alive():
-                raise Refused(FAILED, ENDING)
-            longest = NEXT
-            await Turn()
-        try:
-            return future.result()
-        except concurrent.futures.CancelledError:
-            raise Refused(FAILED, ENDING) from None
+    async def wait(self, future):
+        """Result of a concurrent Future. Raises its exception, or Refused if the node ends before."""
+        if not future.done():
+            await Turn(future)
+        if not future.done() or future.cancelled():
+            raise Refused(FAILED, ENDING)
+        return future.result()
 
     async def ask(self, name, *arguments):
         """Execute a command in the simulation thread. Raises CommandError, Refused."""
-        server = self.scene_run.server
-        return await self.wait(server.call(name, *arguments), server.is_alive)
+        return await self.wait(self.scene_run.server.call(name, *arguments))
+
+
+class _Waiting(NamedTuple):
+    """Coroutine, and the Future that it waits for."""
+
+    work: Coroutine
+    future: concurrent.futures.Future
+
+
+DONE = concurrent.futures.Future()
+DONE.set_result(None)
 
 
 class Turn:
-    """Awaitable that lets the executor run other callbacks once."""
+    """Awaitable that lets the executor run other callbacks, up to the end of a Future; by default once."""
+
+    def __init__(self, future=DONE):
+        self._future = future
 
     def __await__(self):
-        yield
+        yield self._future
+
+
+async def in_executor(work):
+    """Result of a coroutine as above in a coroutine of rclpy, which is called again and again: it pauses."""
+    while True:
+        try:
+            future = work.send(None)
+        except StopIteration as done:
+            return done.value
+        while not concurrent.futures.wait([future], PAUSE).done:
+            await Turn()
+        await Turn()
 
 
 def begin(work, *arguments):

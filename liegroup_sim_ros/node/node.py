@@ -260,6 +260,7 @@ def _spin(node, signals):
     while not signals.received and node.scene_run.server.is_alive():
         # All callbacks of this time in one call: `spin_once` adds 10 us to each.
         executor.spin_until_future_complete(Future(), timeout_sec=ATTENTION)
+    node.end_waits()
     failure = node.scene_run.server.failure
     if failure is not None:
         defect = "".join(traceback.format_exception(failure))

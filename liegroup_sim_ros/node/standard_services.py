@@ -12,7 +12,7 @@ from liegroup_sim_ros.serving.simulation_commands import CommandError
 from liegroup_sim_ros.version import __version__
 
 from . import standard_codes as codes
-from .answers import Turn, filled
+from .answers import Turn, filled, in_executor
 from .standard_codes import Refused
 from .standard_entities import Entities
 from .standard_worlds import Worlds
@@ -198,6 +198,9 @@ class SimulateSteps:
 
     async def execute(self, goal):
         """Take the steps of a goal handle; other callbacks run between two steps."""
+        return await in_executor(self._steps(goal))
+
+    async def _steps(self, goal):
         count, done, reason = goal.request.steps, 0, ""
         feedback = self._kind.Feedback()
         try:
