@@ -86,12 +86,14 @@ def read_setup(text):
         raise ControlError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
 
 
-def set_up(simulation, source, name):
-    """Execute a source, and call its function with a simulation. Raises ControlError."""
+def set_up(simulation, source, name, file=""):
+    """Execute a source, and call its function with a simulation; file : for tracebacks. Raises ControlError."""
+    file = file or f"<{name}>"
     names = {"__name__": name}
     try:
-        exec(compile(source, f"<{name}>", "exec"), names)  # as a user of Python runs this file
-        function = names[name]
+        exec(compile(source, file, "exec"), names)  # as a user of Python runs this file
     except Exception as error:
-        raise ControlError(f"the file of {name} cannot be used: {type(error).__name__}: {error}") from None
-    function(simulation)
+        raise ControlError(f"{file}: cannot be used: {type(error).__name__}: {error}") from None
+    if name not in names:
+        raise ControlError(f"{file}: has no function {name}")
+    names[name](simulation)

@@ -49,8 +49,8 @@ MESSAGES = {
     DIVERGED: "a body rotates by more than 1000 rad within one step: the integration is "
     "unstable, the step is too large for the forces; {smaller}",
     BEYOND_STOP: "joint {joint} is beyond its stop: set a state between the stops",
-    EVENTS_WITHOUT_END: "a step has more than {events} impacts or changes of friction, which do not end with "
-    "these parameters of stops and friction; change the parameters",
+    EVENTS_WITHOUT_END: "a step has more than {events} impacts or changes of friction or of branches of laws, which "
+    "do not end with these parameters; change them",
     NO_FRICTION: "friction by load has no solution, or several, at this pose (Painleve's paradox): mu times "
     "radius is too large for the load that friction itself causes; reduce it",
     NO_RATTLE_STEP: "RATTLE has no solution for body {body}: it rotates by {angle:.3g} rad in a "

@@ -12,6 +12,7 @@ from liegroup_core.dynamics.impulses import (
     set_rate_changes,
 )
 from liegroup_core.dynamics.loads import UNSETTLED
+from liegroup_core.dynamics.sliding import set_surface_rates
 from liegroup_core.dynamics.state import begin, enter, leave
 from liegroup_core.dynamics.switches import count_coordinates, set_guards
 from liegroup_core.dynamics.trees import move_links
@@ -22,7 +23,7 @@ from liegroup_core.status import DEPENDENT_ROWS, NO_FRICTION, OK
 
 @stepper
 def look(model, work, pose_in, twist_in, external_in):
-    """Accelerations, guards and coordinates at a state. Returns a status."""
+    """Accelerations, guards, coordinates and rates of surfaces at a state. Returns a status."""
     pose_in, twist_in = borrowed(pose_in), borrowed(twist_in)
     pose, twist, external, status = enter(model, work, pose_in, twist_in, borrowed(external_in))
     begin(model, work, pose, twist)
@@ -32,6 +33,8 @@ def look(model, work, pose_in, twist_in, external_in):
     for k in range(len(work.branches)):
         if work.branches[k] == UNKNOWN:
             work.branches[k] = branch_of(model.space.forces.laws, work.registers, k)
+    if len(work.shares) > 0:
+        set_surface_rates(model, work)
     # Guards first: they need the applied forces of the stage, which count_coordinates clears.
     set_guards(model, work)
     count_coordinates(model, work)

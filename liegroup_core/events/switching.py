@@ -210,7 +210,7 @@ class Switching(EventTimes):
             if len(work.shares):  # a state that was set slides on where it did
                 work.branches[self._laws.surfaces] = work.angle[places_of_branches(self._laws)]
         work.clock.now[0] = time
-        status = self._look(self._model, work, *state)
+        status = self._look(self._model, work, *state) if known else self.meet_surfaces(state)
         if status != OK:
             return status
         if not known:
@@ -305,12 +305,7 @@ class Switching(EventTimes):
         work, time = self._work, float(time)  # users read it in the events
         work.clock.now[0], log = time, len(self.events)
         crossed, ends = np.split(crossed, [len(work.modes)])
-        shared = self._change_branches(time, ends)
-        status = self._look(self._model, work, *state)
-        apart = [k for k in shared if (work.guards[len(work.modes) + k, LEAST:] < 0.0).any()]
-        if status == OK and apart:  # no sliding motion: one of both sides leads away
-            work.branches[apart] = OPEN
-            status = self._look(self._model, work, *state)
+        status = self._slide(self._change_branches(time, ends), state)
         if status == OK and len(work.modes):
             status = self._change_modes(time, state, crossed)
         met = ends.any(axis=1)
@@ -332,6 +327,43 @@ class Switching(EventTimes):
             sides[(under >= 0) & (work.registers[under, 0] == 0.0)] = UNKNOWN  # that of before, which nothing reads
             here = self.present_modes(), self.events[log:], sides
             self.instants.append(JointInstant(time, *here))
+        return status
+
+    def _slide(self, shared, state):
+        """Look at a state, from which the motion slides along these surfaces if it can. Returns a status."""
+        work = self._work
+        status = self._look(self._model, work, *state)
+        apart = [k for k in shared if (work.guards[len(work.modes) + k, LEAST:] < 0.0).any()]
+        if status == OK and apart:  # one of both sides leads away
+            work.branches[apart] = OPEN
+            status = self._look(self._model, work, *state)
+        return status
+
+    def meet_surfaces(self, state):
+        """Find the branches of a state that was set, and whether it slides along surfaces on which it is. A status.
+
+        It slides where the rates of the other side lead back to the surface, and those of its own do not lead away.
+        """
+        work, surfaces, met = self._work, self._laws.surfaces, set()
+        status = self._look(self._model, work, *state)
+        if not len(work.shares):
+            return status
+        on = (work.guards[len(work.modes) :, LEAST:] == 0.0).any(axis=1)[surfaces]
+        while status == OK:
+            sides = work.branches[surfaces]
+            ways = sides * work.surface_rates
+            left = [j for j in np.flatnonzero(on & (np.abs(sides) == 1.0) & (ways <= 0.0)) if j not in met]
+            if not left:
+                break
+            j, k = left[0], surfaces[left[0]]
+            met.add(j)
+            work.branches[k] = -sides[j]
+            status = self._look(self._model, work, *state)
+            back = sides[j] * work.surface_rates[j] > 0.0
+            if back or ways[j] == 0.0:
+                work.branches[k] = SHARED if back else sides[j]
+            if status == OK:
+                status = self._slide([k] if back else [], state)
         return status
 
     def _change_modes(self, time, state, crossed):

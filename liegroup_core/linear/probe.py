@@ -190,6 +190,13 @@ class _Still(Engine):
     def _touch(self):
         self.reset()
 
+    def shares_at(self, pose, twist):
+        """Branches of the surfaces of laws along which the motion slides from a state on, UNKNOWN for the others."""
+        branches, surfaces = self._integrator.mechanism[1].branches, self.layout.model.forces.laws.surfaces
+        branches[:] = UNKNOWN
+        self._checked(self._switching.meet_surfaces((pose, twist, self.inputs.acting.external)))
+        return np.where(branches[surfaces] > 1.0, branches[surfaces], UNKNOWN)
+
 
 class Probe:
     """Neighbours of a state of a simulation, which does not change.
@@ -227,8 +234,10 @@ class Probe:
         self._take_inputs()
         self.pose, self.twist = (array.copy() for array in sample._state)
         self._work.angle[:] = sample.angles
+        if len(self._model.space.forces.laws.surfaces) and not self.slides.size:  # a start that rests on one
+            self._work.angle[self._kept] = engine.shares_at(self.pose, self.twist)
         self._states = sample.angles[len(sample.angles) - len(self._model.law_links) :]
-        self._shares = sample.angles[self._kept]
+        self._shares = self._work.angle[self._kept].copy()
         self._work.known[0] = 0.0
 
     def _take_inputs(self, instant=None):

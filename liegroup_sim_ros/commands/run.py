@@ -165,7 +165,7 @@ def _run(args):
         with console.status("starting (the first run of a kind of mechanism compiles for about 20 s)"):
             simulation = Simulation(scene, **settings, estimate=args.estimate)
             if args.control:
-                set_up(simulation, *read_setup(args.control))
+                set_up(simulation, *read_setup(args.control), args.control.rpartition(":")[0])
     except ValueError as error:  # includes SceneError
         raise RunError(str(error)) from None
     if args.reactions or args.torques or args.columns:

@@ -113,5 +113,5 @@ def test_wrong_files(text, message):
 
 
 def test_a_file_without_the_function():
-    with pytest.raises(ControlError, match="KeyError: 'other'"):
-        set_up(None, SOURCE, "other")
+    with pytest.raises(ControlError, match="pd.py: has no function other"):
+        set_up(None, SOURCE, "other", "pd.py")

@@ -171,7 +171,7 @@ def test_a_restored_run_with_both_methods_has_the_same_snapshots():
         Simulation(scene_from_text(STIFF_STOP), accuracy=1e-4, horizon=5.0, step=0.01, quiet=True) for _ in range(2)
     )
     methods = set()
-    for _ in range(12):
+    for _ in range(20):
         one.advance(5)
         other.restore(one.snapshot())
         for simulation in (one, other):
