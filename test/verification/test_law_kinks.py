@@ -320,6 +320,25 @@ def test_what_needs_a_state_beside_surfaces_says_so(function):
         function(at_2_s("stops"))
 
 
+@pytest.mark.parametrize("options", [{"accuracy": 1e-6}, {"method": "rkmk4", "step": 1e-3}])
+@pytest.mark.parametrize("push", [0.0, 0.5])
+@pytest.mark.parametrize("side", ["(1 if v > 0 else -1)", "((v > 0) - (v < 0))"])
+def test_a_cart_that_starts_at_rest_on_dry_friction_is_held(side, push, options):
+    """Also if nothing pushes it: where a neighbour goes is seen from the sides of the surface."""
+    simulation = Simulation(cart(f"{push} - 2*{side}"), quiet=True, **options)
+    assert_allclose(linearise(simulation).A, [[0.0]], atol=1e-12)
+    with pytest.raises(SimulationError, match="slides along a comparison of the law own at t = 0 s"):
+        trim(simulation)
+
+
+@pytest.mark.parametrize("effort, way", [("1 + (2 if v > 0 else -2)", -1.0), ("1 - (2 if v < 0 else -2)", 3.0)])
+def test_a_cart_between_sides_that_lead_away_is_not_held(effort, way):
+    """It takes the side that holds at zero."""
+    simulation = Simulation(cart(effort), accuracy=1e-6, quiet=True)
+    assert len(linearise(simulation).A) == 2
+    assert_allclose(end_of(simulation, 1.0), (START + 0.5 * way, way), atol=1e-9)
+
+
 def test_a_cart_that_is_set_beside_its_surface_slides_no_more():
     simulation = at_2_s("stops")
     simulation.place(joints={"rail": (0.0, 1.0)})
