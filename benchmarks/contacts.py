@@ -174,17 +174,21 @@ def robot_scene(path, srdf, links, folder):
     damping = DAMPING * stiffness
     at = dict.fromkeys(file_names, 0.0) | robot.poses.get(pose, {})
     moving = [joint.name for joint in plain.joints if joint.name in file_names]
+    root = plain.bodies[0]
+    place = (root.position[0], root.position[1], root.position[2] + DROP)
+    hold = f"servos: {{stiffness: {stiffness}, damping: {damping}, joints: [{', '.join(moving)}]}}\n"
+    limits = {force.joint: force.effort_limit for force in scene(hold).forces if force.type == "servo"}
     inputs, powers = [], []
     for k, name in enumerate(moving):
         inputs.append(f"q{k}: {name}.position, w{k}: {name}.velocity")
         also = sum(f.damping for f in plain.forces if f.type == "torsional_spring_damper" and f.joint == name)
-        powers.append(f"    p{k}: w{k}*({stiffness}*({at[name]} - q{k}) - {damping + also}*w{k})\n")
+        effort = f"{stiffness}*({at[name]} - q{k}) - {damping}*w{k}"
+        if limits[name] is not None:
+            effort = f"clip({effort}, -{limits[name]}, {limits[name]})"
+        powers.append(f"    p{k}: w{k}*({effort} - {also}*w{k})\n")
     total = " + ".join(f"p{k}" for k in range(len(moving)))
     meter = f"  - name: meter\n    type: law\n    inputs: {{{', '.join(inputs)}}}\n    signals:\n"
     meter += "".join(f"  {each}" for each in powers) + f"    states: {{work: {{rate: {total}, scale: 10}}}}\n"
-    root = plain.bodies[0]
-    place = (root.position[0], root.position[1], root.position[2] + DROP)
-    hold = f"servos: {{stiffness: {stiffness}, damping: {damping}, joints: [{', '.join(moving)}]}}\n"
     return scene(f"start: {{{root.name}: {{position: {list(place)}}}}}\n{hold}forces:\n{meter}")
 
 
