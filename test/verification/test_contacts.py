@@ -376,6 +376,21 @@ def test_a_sliding_cylinder_rolls_with_two_thirds_of_its_speed():
     assert_allclose(sample.twist[0, :3], (0.0, 2.0 / 3.0 / 0.1, 0.0), atol=1e-5)
 
 
+def test_a_can_that_wobbles_without_loss_keeps_its_energy():
+    """It leans by 0.6 degrees and less and stands on up to four points, which turn with its lean; seen in the air."""
+    motion = "rotation_vector: [0.008, 0.006, 0], angular_velocity: [0.1, 0, 5]"
+    shape = "{type: cylinder, radius: 0.1, length: 0.1, mass: 1}"
+    body = f"{{name: can, shape: {shape}, position: [0, 0, 0.0515], {motion}}}"
+    simulation = Simulation(
+        scene([body], ["name: floor, body: can, stiffness: 1e5, damping: 0"]), accuracy=1e-7, quiet=True
+    )
+    start, seen = simulation.sample().energy, []
+    for sample in simulation.samples(np.arange(0.05, 1.0, 0.05)):
+        if sample.signals["floor.normal_force"] == 0.0:
+            seen.append(sample.energy - start)
+    assert len(seen) > 5 and np.abs(seen).max() <= 1e-7 * start
+
+
 def test_two_balls_exchange_their_momentum():
     """A central impact with restitution 0.5 of the reduced mass: v' = (m1 v1 -+ ...) / (m1 + m2)."""
     bodies = [
