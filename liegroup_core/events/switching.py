@@ -360,9 +360,8 @@ class Switching(EventTimes):
             work.branches[k] = -sides[j]
             status = self._look(self._model, work, *state)
             back = sides[j] * work.surface_rates[j] > 0.0
-            if back or ways[j] == 0.0:
+            if status == OK and (back or ways[j] == 0.0):
                 work.branches[k] = SHARED if back else sides[j]
-            if status == OK:
                 status = self._slide([k] if back else [], state)
         return status
 

@@ -300,7 +300,7 @@ def tied(fit, found, whole=None):
                 return others[-1]
     for slack in SLACKS:
         found = fit.solve(found.point, ROUGHLY, found, slack)
-    return min(found, *others, key=lambda each: each.cost) if others else found
+    return min([found, *others], key=lambda each: each.cost)
 
 
 def _as_one(fit, point):

@@ -13,7 +13,7 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from liegroup_core.robots.description import Visual, rpy_of_rotation
+from liegroup_core.robots.description import rpy_of_rotation
 from liegroup_core.robots.resources import find_resource
 from liegroup_core.robots.xml import read_xml
 
@@ -37,7 +37,7 @@ def robot_description(scene):
     visuals = {link: [visual for visual in found if visual.asset < 0] for link, found in visuals.items()}
     drawn = {body for link, (body, _) in links.items() if visuals.get(link)}
     main = link_of_body(scene)
-    visuals |= {main[body.name]: [_solid(body, scene)] for body in scene.bodies if body.name not in drawn}
+    visuals |= {main[body.name]: [solid(body, scene)] for body in scene.bodies if body.name not in drawn}
     parts = [f"<robot name={quoteattr(scene.name)}>", '  <link name="world"/>']
     for name in links:
         parts.append(f"  <link name={quoteattr(name)}>")
@@ -72,13 +72,6 @@ def _with_addresses(text, file):
         return found[0] if path is None else f"{found[1]}{Path(path).as_uri()}{found[3]}"
 
     return _FILENAME.sub(address, text)
-
-
-def _solid(body, scene):
-    """Visual of a body of a scene: its shape, or a box of the same mass and inertia."""
-    kind, (x, y, z), pose = solid(body, scene)
-    sizes = {"box": (x, y, z), "capsule": (0.5 * x, z - x), "cylinder": (0.5 * x, z), "sphere": (0.5 * x,)}
-    return Visual(kind, sizes[kind], pose)
 
 
 def _joint(joint):

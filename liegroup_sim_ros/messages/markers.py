@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from liegroup_core.robots.description import place
+from liegroup_core.robots.description import Visual, place
 from liegroup_core.robots.resources import find_resource
 from liegroup_core.scene.centres import PLACES
 from liegroup_core.scene.names import WORLD
@@ -34,7 +34,7 @@ CONTACT_COLOR, PLANE_COLOR = (0.1, 0.6, 0.2, 1.0), (0.6, 0.6, 0.6, 0.4)
 JOINT_SIZE, SHAFT, HEAD, GROUND = 0.08, 0.03, 0.06, 20.0
 THINNEST = 0.01  # smallest edge of a marker; RViz does not draw size 0
 ENDS = ("parent_point", "child_point")
-TYPES = {"box": CUBE, "cylinder": CYLINDER, "sphere": SPHERE}
+TYPES = {"box": CUBE, "cylinder": CYLINDER, "ellipsoid": SPHERE, "sphere": SPHERE}
 
 
 class Markers:
@@ -48,9 +48,8 @@ class Markers:
     def __init__(self, layout, world_frame, arrow_scale):
         scene = layout.scene
         self.arrow_scale = arrow_scale
-        solids = [solid(body, scene) for body in scene.bodies]
         # Point masses have no size.
-        largest = max(max(size) for _, size, _ in solids) or layout.size
+        largest = max(max(edges(solid(body, scene))) for body in scene.bodies) or layout.size
         self._template = template = Template()
         self._end = Template()
         self._end.put("I", 1)
@@ -58,7 +57,7 @@ class Markers:
         owners, local = [], []  # body, and pose in it, of each marker except arrows
         shapes, grounds = drawn(scene), planes(scene, np.mean([body.position for body in scene.bodies], axis=0))
         contacts = layout.touching.names
-        template.put("I", len(shapes) + len(scene.joints) + len(grounds) + 2 * len(solids) + len(contacts))
+        template.put("I", len(shapes) + len(scene.joints) + len(grounds) + 2 * len(scene.bodies) + len(contacts))
         for i, (body, kind, size, pose, mesh, color) in enumerate(shapes):
             if kind != MESH:
                 size = np.maximum(size, THINNEST * largest)
@@ -79,7 +78,7 @@ class Markers:
             local[-1][:3, :3], local[-1][:3, 3] = turn, point - 0.5 * thin * turn[:, 2]
         self._places = placer(layout, owners, local)
         for name, color in (("forces", FORCE_COLOR), ("torques", TORQUE_COLOR)):
-            for i in range(len(solids)):
+            for i in range(len(scene.bodies)):
                 _add(template, name, i, ARROW, world_frame, (SHAFT * largest, HEAD * largest, 0.0), color)
         for i in range(len(contacts)):
             _add(template, "contacts", i, ARROW, world_frame, (SHAFT * largest, HEAD * largest, 0.0), CONTACT_COLOR)
@@ -157,17 +156,9 @@ def drawn(scene):
                 shown.add(body)
     for body in scene.bodies:
         if body.name not in shown:
-            found += [(body.name, *part, "", BODY_COLOR) for part in parts(*solid(body, scene))]
+            parts = in_primitives(solid(body, scene))
+            found += [(body.name, TYPES[each.kind], edges(each), each.pose, "", BODY_COLOR) for each in parts]
     return found
-
-
-def parts(kind, size, pose):
-    """[(kind of marker, sizes (3,) in m, pose (4, 4))] of a `solid`: of a capsule a cylinder and two spheres."""
-    if kind != "capsule":
-        return [(TYPES[kind], size, pose)]
-    across, long = size[0], size[2] - size[0]
-    caps = [(SPHERE, (across,) * 3, pose @ place((0.0, 0.0, end * long))) for end in (-0.5, 0.5)]
-    return [(CYLINDER, (across, across, long), pose), *caps]
 
 
 def in_primitives(visual):
@@ -180,17 +171,22 @@ def in_primitives(visual):
     ]
 
 
+def edges(visual):
+    """Edges (3,) in m of the box about a Visual that is no mesh, along its axes."""
+    if visual.kind == "box":
+        return visual.size
+    if visual.kind == "ellipsoid":
+        return tuple(2.0 * radius for radius in visual.size)
+    across, long = 2.0 * visual.size[0], sum(visual.size[1:])
+    return across, across, long if visual.kind == "cylinder" else long + across
+
+
 def _of_visual(visual, file):
-    """(kind, sizes (3,), address of the mesh) of a visual, or None if the mesh has no file."""
+    """(kind, sizes (3,), address of the mesh) of a visual in primitives, or None if the mesh has no file."""
     if visual.kind == "mesh":
         path = find_resource(visual.mesh, file) if visual.mesh else None
         return None if path is None else (MESH, visual.size, path.as_uri())
-    if visual.kind == "box":
-        return CUBE, visual.size, ""
-    if visual.kind == "ellipsoid":
-        return SPHERE, tuple(2.0 * radius for radius in visual.size), ""
-    across = 2.0 * visual.size[0]
-    return (TYPES[visual.kind], (across, across, visual.size[-1] if visual.kind == "cylinder" else across), "")
+    return TYPES[visual.kind], edges(visual), ""
 
 
 def links(scene):
@@ -204,26 +200,22 @@ def links(scene):
 
 
 def solid(body, scene):
-    """("box", "capsule", "cylinder" or "sphere", edges (3,) in m, pose (4, 4) in the body's frame) of a body."""
+    """Visual that represents a body of a scene: its shape, or a box of the same mass and inertia."""
     local = np.eye(4)
     shape = body.shape
     rolling = next((j for j in scene.joints if j.child == body.name and hasattr(j, "radius")), None)
     if shape is None and rolling is not None:
-        across = 2.0 * rolling.radius
-        is_ball = rolling.type == "ball_on_plane"
-        long = across if is_ball else RIM * across
-        return "sphere" if is_ball else "cylinder", (across, across, long), rolling.child_frame.pose
+        is_ball, radius = rolling.type == "ball_on_plane", rolling.radius
+        kind, size = ("sphere", (radius,)) if is_ball else ("cylinder", (radius, RIM * 2.0 * radius))
+        return Visual(kind, size, rolling.child_frame.pose)
     if shape is None:
         moments, axes = np.linalg.eigh(body.inertia_matrix)
         local[:3, :3] = axes * np.linalg.det(axes)  # a rotation, not a reflection
         local[:3, 3] = body.com
         squares = 6.0 * (moments.sum() - 2.0 * moments) / body.mass
-        return "box", tuple(math.sqrt(max(0.0, square)) for square in squares), local
+        return Visual("box", tuple(math.sqrt(max(0.0, square)) for square in squares), local)
     local[:3, :3], local[:3, 3] = shape.rotation, shape.position
     if shape.type == "box":
-        size = shape.size
-    else:
-        across = 2.0 * shape.radius
-        long = getattr(shape, "length", 0.0) + (across if shape.type in ("sphere", "capsule") else 0.0)
-        size = (across, across, long)
-    return "cylinder" if shape.type == "rod" else shape.type, tuple(size), local
+        return Visual("box", tuple(shape.size), local)
+    size = (shape.radius,) if shape.type == "sphere" else (shape.radius, shape.length)
+    return Visual("cylinder" if shape.type == "rod" else shape.type, size, local)

@@ -21,7 +21,7 @@ from liegroup_core.errors import LieGroupSimError
 
 from .standard_codes import FAILED, OK, Refused
 
-PAUSE = 1e-3  # s
+PAUSE = 1e-3  # s, between two looks of a coroutine of rclpy
 SHOWN = 300  # characters of an unexpected error
 ENDING = "the node is shutting down"
 
@@ -59,8 +59,6 @@ class AnsweringNode(Node):
         """Continue a coroutine when the Future that it waits for is done; `send` takes its result."""
 
         def go_on():
-            if go_on not in self._waiting:
-                return
             self._waiting.discard(go_on)
             try:
                 following = work.send(None)
@@ -70,7 +68,8 @@ class AnsweringNode(Node):
                 self._continue(work, following, send)
 
         self._waiting.add(go_on)
-        future.add_done_callback(lambda _: self.executor.create_task(go_on))
+        # After `end_waits` there is no executor any more.
+        future.add_done_callback(lambda _: self.executor.create_task(go_on) if go_on in self._waiting else None)
 
     def end_waits(self):
         """Answer what still waits, because the node ends and its executor no longer runs."""

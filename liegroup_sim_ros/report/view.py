@@ -9,7 +9,7 @@ import scipy
 
 from liegroup_core.scene.names import WORLD
 from liegroup_sim_ros.analysis.acting import sample_of
-from liegroup_sim_ros.messages.markers import THINNEST, links, solid
+from liegroup_sim_ros.messages.markers import THINNEST, edges, links, solid
 from liegroup_sim_ros.messages.touching import arrows, planes
 
 from .plots import BASE, MANY_COLOURS, label
@@ -36,18 +36,18 @@ def make_view(analysis, shapes=None):
     layout = analysis.layout
     index = {body.name: i for i, body in enumerate(scene.bodies)}
     solids = [solid(body, scene) for body in scene.bodies]
-    thinnest = THINNEST * max(max(size) for _, size, _ in solids)
+    thinnest = THINNEST * max(max(edges(each)) for each in solids)
     bodies = [
         {
             "name": label(body.name),
-            "solid": kind,
-            "size": [max(float(length), thinnest) for length in size],
-            "at": local[:3, 3].tolist(),
-            "turn": local[:3, :3].ravel().tolist(),
+            "solid": each.kind,
+            "size": [max(float(length), thinnest) for length in edges(each)],
+            "at": each.pose[:3, 3].tolist(),
+            "turn": each.pose[:3, :3].ravel().tolist(),
             "com": [float(x) for x in body.com],
             "colour": MANY_COLOURS[i % len(MANY_COLOURS)],
         }
-        for i, (body, (kind, size, local)) in enumerate(zip(scene.bodies, solids))
+        for i, (body, each) in enumerate(zip(scene.bodies, solids))
     ]
     given = [(shapes or {}).get(body.name) for body in scene.bodies]
     given = [found and max(found, key=lambda shape: np.prod(shape["size"]))["color"] for found in given]

@@ -5,7 +5,7 @@ import itertools
 
 import numpy as np
 
-from liegroup_sim_ros.messages.markers import solid
+from liegroup_sim_ros.messages.markers import edges, solid
 from liegroup_sim_ros.report.shapes import box_of
 
 SIGNS = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
@@ -25,10 +25,11 @@ class Boxes:
         self._places, self._halves = np.tile(np.eye(4), (len(scene.bodies), 1, 1)), np.zeros((len(scene.bodies), 3))
         for i, body in enumerate(scene.bodies):
             if shapes.get(body.name):
-                self._places[i, :3, 3], edges = box_of(shapes[body.name])
+                self._places[i, :3, 3], lengths = box_of(shapes[body.name])
             else:
-                _, edges, self._places[i] = solid(body, scene)
-            self._halves[i] = 0.5 * np.asarray(edges)
+                visual = solid(body, scene)
+                lengths, self._places[i] = edges(visual), visual.pose
+            self._halves[i] = 0.5 * np.asarray(lengths)
         start = np.array([[*body.rotation.ravel(), *body.position] for body in scene.bodies])
         low, high = self.bounds(start)
         self.size, self.middle = float(np.linalg.norm(high - low)) or layout.size, 0.5 * (low + high)

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from liegroup_core.scene.names import WORLD
-from liegroup_sim_ros.messages.markers import CUBE, SPHERE, THINNEST, links, parts, solid
+from liegroup_sim_ros.messages.markers import THINNEST, edges, in_primitives, links, solid
 from liegroup_sim_ros.messages.touching import arrows
 from liegroup_sim_ros.report.shapes import decoded
 
@@ -140,15 +140,15 @@ class Drawing:
         api, common = self._server.scene, {"opacity": 0.3 if ghost else None, "cast_shadow": not ghost}
         if body.name in shapes:
             return [api.add_icosphere(name, 0.2 * PART * self.size, colour, position=body.com, **common)]
-        solids = parts(*solid(body, self._layout.scene))
-        return [self._solid(f"{name}{k}", *part, colour, common) for k, part in enumerate(solids)]
+        parts = in_primitives(solid(body, self._layout.scene))
+        return [self._solid(f"{name}{k}", part, colour, common) for k, part in enumerate(parts)]
 
-    def _solid(self, name, kind, size, local, colour, common):
-        api, size = self._server.scene, np.maximum(size, THINNEST * self.size)
-        place = {"wxyz": _wxyz(local[:3, :3]), "position": local[:3, 3]}
-        if kind == CUBE:
+    def _solid(self, name, visual, colour, common):
+        api, size = self._server.scene, np.maximum(edges(visual), THINNEST * self.size)
+        place = {"wxyz": _wxyz(visual.pose[:3, :3]), "position": visual.pose[:3, 3]}
+        if visual.kind == "box":
             return api.add_box(name, colour, tuple(size), **place, **common)
-        if kind == SPHERE:
+        if visual.kind == "sphere":
             return api.add_icosphere(name, 0.5 * size[0], colour, **place, **common)
         return api.add_cylinder(name, 0.5 * size[0], size[2], colour, **place, **common)
 

@@ -8,6 +8,7 @@ import signal
 from fractions import Fraction
 
 import pytest
+import rclpy
 from builtin_interfaces.msg import Duration
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
@@ -15,6 +16,7 @@ from mcap.reader import make_reader
 from node_process import NodeProcess, figures_of, python, refusal, stamp_in, stamp_of
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from waiting import PATIENCE
 
@@ -304,6 +306,19 @@ def test_wrong_stamps_are_refused_and_a_step_ends_at_the_time_limit(client, tmp_
         (0, 10**6, (1.0,)),
         (10**6, 2 * 10**6, (1.0,)),
     ]
+
+
+def test_a_step_that_waits_is_answered_when_the_node_ends(client):
+    """The line is the answer; `end` checks that nothing else is logged."""
+    events = client.events("/sim_node")
+    with NodeProcess(SCENE | {"start_paused": "true", "step_count": 10}) as node:
+        service = client.node.create_client(Trigger, "/sim_node/step")
+        client.until(service.service_is_ready)
+        future = service.call_async(Trigger.Request())
+        client.until(lambda: any("waiting" in event.msg for event in events))
+        node.end()
+        rclpy.spin_until_future_complete(client.node, future, client._executor, PATIENCE)
+        assert (future.result().success, future.result().message) == (False, "the node is shutting down")
 
 
 def test_lockstep_begins_and_ends_while_the_node_runs(client):
