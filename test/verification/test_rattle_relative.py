@@ -16,7 +16,6 @@ from volume import VERIFY, some
 
 from liegroup_core import Scene, load_scene
 from liegroup_core.engine import Engine
-from liegroup_core.forces.external import no_wrenches
 from liegroup_core.mechanism.arrays import PlaneModel
 from liegroup_core.methods.table import METHODS
 from liegroup_core.motion_groups.table import DIRECT, FREEDOMS
@@ -102,7 +101,7 @@ def test_backward_steps_undo_forward_steps_in_a_plane(method, name):
     pose, twist = simulation.state()
     simulation.advance(3)
     there, rates = simulation.state()
-    external = no_wrenches(simulation.layout.offsets)
+    external = simulation.inputs.acting.external  # scenes have wrenches
     assert simulation._integrator.advance(-1e-3, 3, there, rates, external) == (3, 0)
     size = max(1.0, simulation.layout.size)
     assert np.abs(there - pose).max() <= 6e-14 * size
