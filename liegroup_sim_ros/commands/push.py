@@ -135,17 +135,23 @@ def _push(args):
             "running (a first start compiles for half a minute) with the same "
             "ROS_DOMAIN_ID, and give its name with --node"
         )
-    if not spin_until(lambda: bodies, ANSWER):
+    if not spin_until(lambda: bodies, DISCOVERY):
         raise PushError(f"{name} does not answer: it may be shutting down")
 
     def refuse_unknown():
         if args.body not in bodies and not applied:
             raise PushError(f"{name} has no body or link {args.body!r}; its bodies: {', '.join(sorted(bodies))}")
 
-    answer = AsyncParameterClient(node, name).get_parameters(["frame_prefix"])
-    if not spin_until(answer.done, ANSWER):
+    parameters, answers = AsyncParameterClient(node, name), []
+
+    def answered():
+        answers.append(parameters.get_parameters(["frame_prefix"]))
+        return spin_until(answers[-1].done, ANSWER)
+
+    # The answer is lost if the node has not yet discovered the client.
+    if not any(answered() for _ in range(round(DISCOVERY / ANSWER))):
         raise PushError(f"{name} does not answer: it may be shutting down")
-    frame = answer.result().values[0].string_value + args.body
+    frame = answers[-1].result().values[0].string_value + args.body
     message = kind()
     message.header.frame_id = frame
     vectors = [(message.wrench.force, args.force), (message.wrench.torque, args.torque)] if args.to is None else []
