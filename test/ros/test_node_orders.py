@@ -132,9 +132,8 @@ def test_a_command_is_answered_at_once_and_states_stay_on_their_grid(client, tmp
     with NodeProcess(parameters, remap=[f"__node:={NODE_ANSWERS_NODE[1:]}"]) as process:
         diagnostics = client.listen("/diagnostics", DiagnosticArray)
         node = Commanded(client, NODE_ANSWERS_NODE)
-        client.call(f"{NODE_ANSWERS_NODE}/reset")  # a late subscriber has missed the start
-        client.until(lambda: node.states)
-        begin = node.now()
+        begin = client.command(f"{NODE_ANSWERS_NODE}/reset")  # a late subscriber may have missed the start
+        client.until(lambda: node.states and node.now() == begin, "the state of the reset")
         # A command that waits for its stamp in the second period brings no state forward.
         node.command(begin + period + period // 2, name=["hinge"], effort=[7e-6])
         assert stands_at(begin)
