@@ -376,6 +376,30 @@ def test_a_sliding_cylinder_rolls_with_two_thirds_of_its_speed():
     assert_allclose(sample.twist[0, :3], (0.0, 2.0 / 3.0 / 0.1, 0.0), atol=1e-5)
 
 
+@pytest.mark.parametrize("speed, spin", [(1.0, 0.1), (0.01, 10.0), (0.0, 10.0)])
+def test_a_puck_slides_and_spins_as_a_rim(speed, spin):
+    """The friction of a rim with even pressure, if it mostly slides or spins: both end together, or v / v0 goes with
+    (w / w0)^(1/4). Both are off by squares of the ratio of their speeds, 0.01 to 0.03, and of slip / (settles v).
+    """
+    body = (
+        "{name: puck, shape: {type: cylinder, radius: 0.1, length: 0.002, mass: 1}, position: [0, 0, 0.00099999], "
+        f"linear_velocity: [{speed}, 0, 0], angular_velocity: [0, 0, {spin}]}}"
+    )
+    floor = "name: floor, body: puck, sinks: 1e-5, restitution: 0.3, friction: 0.2, slip: 1e-6"
+    simulation = Simulation(scene([body], [floor]), accuracy=1e-6, quiet=True)
+    for time in (0.1, 0.2):
+        simulation.advance_to(time)
+        sample, slower = simulation.sample(), 0.2 * G * time
+        velocity, spins = sample.pose[0, :9].reshape(3, 3) @ sample.twist[0, 3:], sample.twist[0, 2]
+        if speed > 0.1 * spin:
+            part = 1.0 - slower / speed
+            assert_allclose((velocity[0], spins), (speed * part, spin * part), atol=2e-4 * speed)
+        else:
+            part = 1.0 - 2.0 * slower / 0.1 / spin
+            assert_allclose(spins, spin * part, atol=2e-4 * spin)
+            assert_allclose(velocity[0], speed * part**0.25, atol=1e-3 * speed + 1e-9)
+
+
 def test_a_can_that_wobbles_without_loss_keeps_its_energy():
     """It leans by 0.6 degrees and less and stands on up to four points, which turn with its lean; seen in the air."""
     motion = "rotation_vector: [0.008, 0.006, 0], angular_velocity: [0.1, 0, 5]"
