@@ -46,6 +46,7 @@ CLEARLY = 0.25  # of the mean square without a delay
 HIT = 1.0 / 16.0
 FEW, EARLY = 1.0, 8  # s of the log in which they are tried, at least, and parts of it
 KEPT = 0.5  # share of the measurements of a clock that stay
+PROBING = 0.1  # as ROUGHLY, of a run that may be too long for the model: what comes near goes there by more
 REFINED, MOST_REFINED = 0.1, 3  # change of the noise that is small, and repetitions
 STRANGE = 10.0  # standard deviations: rms from which on another unit may explain it
 
@@ -245,7 +246,7 @@ def _length(fit, point, count=FEW_SEGMENTS):
     few = Fit(fit.runs, list(fit.deviation), fit.free, fit.limits, priors, fit.workers, late)
     while best is None or 2.0 * best <= most:
         point = in_short_steps(few, continued(few, _some(spans, length, count), point))
-        solution = refined(few, few.solve(point, ROUGHLY))
+        solution = refined(few, few.solve(point, PROBING))
         if best is not None and not _is_near(few, solution):
             break
         best, found, point, length = length, solution, solution.point, 2.0 * length
@@ -379,11 +380,10 @@ def judged(fit, near, solution):
     tied_near = fit.solution(near.point, near.outputs, near.linear, SLACKS[-1])
     judge = Effects(fit, solution if is_in_reach(fit, solution) else tied_near)
     columns = [np.flatnonzero(np.isfinite(each.values).any(axis=0)) for each in fit.runs.log.measured]
-    jointly = min(white(fit, solution, t, own) for t, own in enumerate(columns) if len(own)) * len(columns)
     errors = numerics(fit, solution.point, solution.outputs)
-    found = Comparison(
-        fit, solution, channel_fits(fit, solution), [], [], [], errors, horizons(fit, near, solution), jointly
-    )
+    jointly = min(white(fit, solution, t, own, errors) for t, own in enumerate(columns) if len(own)) * len(columns)
+    channels = channel_fits(fit, solution, errors)
+    found = Comparison(fit, solution, channels, [], [], [], errors, horizons(fit, near, solution), jointly)
     effects, alone, missing, is_explained = judge.find(found.is_noise)
     # Angles are random, or residuals large: outputs may have another unit.
     far = scale(partial(_longest, fit.workers), fit) if found.without or found.worst.chi > STRANGE else None
@@ -459,9 +459,21 @@ def _spread(fit, solution):
 
 
 def in_short_steps(fit, point, outputs=None):
-    """Unknowns with steps whose errors are a small part of the noise; outputs: of the point, None: not known."""
-    while point.halves < MOST_HALVES and max(part.max(initial=0.0) for part in numerics(fit, point, outputs)) > PART:
-        point, outputs = replace(point, halves=point.halves + 1), None
+    """Unknowns with steps whose errors are a small part of the noise, or of residuals of a model that is not near.
+
+    Where steps of half the size do not even halve the errors, motions part: shorter ones do not help.
+
+    outputs : of the point, None: not known
+    """
+    before = np.inf
+    while point.halves < MOST_HALVES:
+        outputs = fit.runs.base(point) if outputs is None else outputs
+        rest = np.concatenate([fit.weighted(one) for one in fit.residuals(point, outputs)])
+        size = max(1.0, float(np.sqrt(rest @ rest / max(len(rest), 1))))
+        error = max(part.max(initial=0.0) for part in numerics(fit, point, outputs))
+        if error <= PART * size or error > 0.5 * before:
+            break
+        point, outputs, before = replace(point, halves=point.halves + 1), None, error
     return point
 
 

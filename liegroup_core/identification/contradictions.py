@@ -20,6 +20,7 @@ from liegroup_core.threads import one_blas_thread
 from .chain import Chain
 from .fit import without
 from .forced import AXES, VARIABLES, Forced
+from .log import LEAST
 from .machine import floating
 
 SMALL = 1e-3  # of the loads that occur: size of an effect in its run
@@ -110,8 +111,8 @@ class ChannelFit:
     p_white: float
 
 
-def channel_fits(fit, solution):
-    """[ChannelFit] of all outputs of a Solution."""
+def channel_fits(fit, solution, errors=None):
+    """[ChannelFit] of all outputs of a Solution; errors: of its integration, as `white` takes them, None: not known."""
     found = []
     segments = fit.runs.segments(solution.point)
     for t, each in enumerate(fit.runs.log.measured):
@@ -137,18 +138,27 @@ def channel_fits(fit, solution):
                     float(np.sqrt(square / dof) / sigma),
                     float(1.0 + SURE * spread / np.sqrt(len(e))),
                     float(scipy.stats.chi2.sf(square / sigma**2, dof)),
-                    white(fit, solution, t, [p]),
+                    white(fit, solution, t, [p], errors),
                 )
             )
     return found
 
 
-def white(fit, solution, t, columns):
+def white(fit, solution, t, columns, errors=None):
     """Probability of correlations as large between successive residuals of a Measured, if these are white noise.
 
-    That of Hosking (1980), for one column of Ljung and Box (1978), within runs along the log.
+    That of Hosking (1980), for one column of Ljung and Box (1978), within runs along the log. Residuals below LEAST of
+    the noise are round-off, as of a motion in a plane across it; those below the errors of the integration say nothing.
+
+    errors : [(p,)] largest errors of the integration by the noise, of each Measured; None: not known
     """
-    parts, ends = [residuals[t][:, columns] for residuals in solution.residuals], []
+    rest = np.concatenate([residuals[t][:, columns] for residuals in solution.residuals])
+    least = LEAST if errors is None else np.maximum(LEAST, errors[t][columns])
+    is_seen = np.nanmax(np.abs(rest), axis=0, initial=0.0) > least * fit.deviation[t][columns]
+    columns, ends = np.asarray(columns)[is_seen], []
+    if not len(columns):
+        return 1.0
+    parts = [residuals[t][:, columns] for residuals in solution.residuals]
     for run in np.split(np.arange(len(parts)), solution.firsts[1:]):
         rest = np.vstack([parts[k] for k in run])
         ends.append(rest[np.isfinite(rest).all(axis=1)])

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .comparison import Comparison, covariance_of, fitted, is_in_reach, judged, tied
+from .comparison import Comparison, covariance_of, fitted, in_short_steps, is_in_reach, judged, tied
 from .contradictions import channel_fits
 from .fit import Fit
 from .log import ENOUGH
@@ -69,7 +69,8 @@ def identify(scene, log, names, limits=None, priors=None, held_out=0.0, workers=
     fit, near, solution, left = fitted(scene, log, names, workers, limits, priors, held_out)
     given, weighted = [np.isfinite(each.deviation) for each in log.measured], fit
     for _ in range(ROUNDS):
-        solution = weighted.solve(solution.point, known=solution, slack=solution.slack)
+        point = in_short_steps(weighted, solution.point, solution.outputs)
+        solution = weighted.solve(point, known=solution, slack=solution.slack)
         noise = _noise(weighted, solution, given)
         if max(np.abs(new / old - 1.0).max(initial=0.0) for new, old in zip(noise, weighted.deviation)) < 0.02:
             break

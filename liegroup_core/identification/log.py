@@ -144,9 +144,16 @@ class Measured:
         return np.array([_least(values) for values in self.values.T])
 
     def noise_of(self, parts):
-        """(p,) standard deviations, given or estimated from [(r, p)] parts of a signal with this noise."""
+        """(p,) standard deviations, given or estimated from [(r, p)] parts of a signal with this noise.
+
+        Values that never change show none: it is that of the other components of their vector, as of one instrument.
+        """
         columns = zip(self.deviation, self.values.T, zip(*(part.T for part in parts)))
-        return np.array([s if np.isfinite(s) else _noise(values, signal) for s, values, signal in columns])
+        found = np.array([s if np.isfinite(s) else _noise(values, signal) for s, values, signal in columns])
+        vectors = np.array([name[: len(name) - name.endswith(("x", "y", "z"))] for name in self.channels])
+        for k in np.flatnonzero(~np.isfinite(self.deviation) & (self.spread == 0.0)):
+            found[k] = found[vectors == vectors[k]].max()
+        return found
 
 
 @dataclass(frozen=True, eq=False)
