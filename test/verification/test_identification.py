@@ -639,15 +639,15 @@ forces:
 """
 
 
-def ball_log(truth, seconds):
-    """(Scene with numbers, a log of its pose with a noise of 1 mm and 1 mrad)."""
+def ball_log(truth, seconds, noise=(1e-3, 1e-3)):
+    """Log of the pose of the ball with numbers, and a noise in m and rad."""
     text, rng, times = CONTACT, np.random.default_rng(1), np.arange(0.0, seconds + 1e-9, 0.01)
     for key, value in truth.items():
         text = text.replace(key, repr(value))
     names = tuple(f"ball.{part}" for part in ("x", "y", "z", "rx", "ry", "rz"))
     poses = [sample.pose[0] for sample in Simulation(scene_from_text(text), accuracy=1e-9, quiet=True).samples(times)]
     turns = Rotation.from_matrix(np.array(poses)[:, :9].reshape(-1, 3, 3)).as_rotvec()
-    values = np.hstack([np.array(poses)[:, 9:], turns]) + 1e-3 * rng.normal(size=(len(times), 6))
+    values = np.hstack([np.array(poses)[:, 9:], turns]) + np.repeat(noise, 3) * rng.normal(size=(len(times), 6))
     return Log((), (Measured("/mocap", times, names, values, np.full(6, np.inf), delay=0.0),))
 
 
@@ -674,6 +674,18 @@ def test_numbers_of_contacts_are_found(truth, wrong, names):
     assert (np.abs(found.values - true) < 4.0 * found.deviations).all()
     assert (found.deviations < 0.02 * true).all()
     assert found.comparison.solution.reduced < 1.5
+
+
+@pytest.mark.turn(2)
+def test_a_ball_that_bounces_and_skids_without_noise_of_its_rotation():
+    """Two components of the rotation never change; the third is exact, so the errors of the steps must be small."""
+    truth = {"HEIGHT": 0.15, "SPEED": 0.5, "STIFF": 1e5, "DAMPS": 0.3, "RUBS": 0.12}
+    text = CONTACT
+    for key, value in (truth | {"STIFF": 7e4, "RUBS": 0.2}).items():
+        text = text.replace(key, repr(value))
+    found = identify(scene_from_text(text), ball_log(truth, 0.5, (1e-4, 0.0)), ["friction", "stiffness"], workers=1)
+    assert (np.abs(found.values - (0.12, 1e5)) < 4.0 * found.deviations).all()
+    assert (found.deviations < (2.4e-3, 2e3)).all() and found.comparison.agrees
 
 
 ROD = """
