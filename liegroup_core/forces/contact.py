@@ -584,8 +584,10 @@ def _touch_with_rim(found, body, shape, end, axes, height):
             forces.append(found.push(_minus(height, _dot(n, _sum(centre, arms[-1]))), leaving))
             found.close_to_plane(found.depths[-1], body, math.hypot(np.linalg.norm(end), shape.radius))
     force = found.let(f"{_plus(*forces)} if {found.only_with(found.depths[-4])} else 0")
-    shares = [found.let(f"{each}/({force} + 1e-300)") for each in forces]
-    arm = [found.let(each) for each in _sum(*map(_scaled, shares, arms))]
+    shares = [found.let(f"{each}/({force} + 1e-300)") for each in forces[1:]]
+    # From the lowest point on, which is the only one where nothing presses yet.
+    ways = [_difference(arm, arms[0]) for arm in arms[1:]]
+    arm = [found.let(each) for each in _sum(arms[0], *map(_scaled, shares, ways))]
     rate = [found.let(each) for each in _sum(speed, _cross(spin, arm))]
     lever = found.let(f"{shape.radius!r} - {_dot(arm, arm)}/{shape.radius!r}")
     drags = found.rub(force, [*(_dot(each, rate) for each in tangents), _times(lever, _dot(n, spin))], axes)
