@@ -77,6 +77,55 @@ def test_no_touch_of_a_fast_slab_is_missed():
         assert sample.twist[0, 5] == pytest.approx(speed, rel=1e-8)
 
 
+def test_events_are_those_of_the_closed_form():
+    """Touch and leave of the bounces on a spring, also after a snapshot; steps without error control have none."""
+    height, bounces = 0.05, 20
+    fall, touch = bounce(1e4, height)
+    made = ball("stiffness: 1e4, damping: 0", RADIUS + height)
+    simulation = Simulation(made, accuracy=1e-9, quiet=True)
+    simulation.advance_to(2.5 * fall + 1.5 * touch)  # in the second contact
+    events, middle = simulation.drain_events(), simulation.snapshot()
+    for _ in range(2):
+        simulation.restore(middle)
+        simulation.advance_to(bounces * (2.0 * fall + touch))
+        found = events + simulation.drain_events()
+        assert [(event.joint, event.kind) for event in found] == [("floor", "touch"), ("floor", "leave")] * bounces
+        starts = fall + np.arange(bounces) * (2.0 * fall + touch)
+        # As the bounces above: 1e-8 m/s per bounce are 1e-9 s of fall.
+        assert_allclose([event.time for event in found], np.ravel([starts, starts + touch], "F"), atol=1e-9 * bounces)
+    assert simulation.event_count == 0  # at joints
+
+
+def test_fixed_steps_have_events_of_stops_only():
+    bodies = [BALL % (0.15, 0.0, 0.0), "{name: lid, mass: 1, inertia: [1, 1, 1]}"]
+    joint = "joints: [{name: s, type: prismatic, parent: world, child: lid, parent_frame: {}, limits: {lower: -0.1}}]"
+    made = scene(bodies, ["name: floor, body: ball, stiffness: 1e4, damping: 0"], more=joint)
+    simulation = Simulation(made, "rkmk4", 1e-3, quiet=True)
+    simulation.drain_instants()
+    simulation.advance_to(0.2)
+    (instant,) = [each for each in simulation.drain_instants() if each.events]
+    assert simulation.drain_events() == instant.events and {event.joint for event in instant.events} == {"s"}
+    assert instant.time == pytest.approx(math.sqrt(0.2 / G), abs=1e-12)
+
+
+def test_events_say_when_a_tumbling_brick_touches():
+    """By the force of the contact at a thousand times."""
+    body = BRICK % (0.0, 0.3, "linear_velocity: [1, 0, 0], angular_velocity: [3, 2, 1]")
+    brick = scene([body], ["name: floor, body: brick, sinks: 1e-4, restitution: 0.3, friction: 0.3"])
+    simulation, presses = Simulation(brick, accuracy=1e-5, quiet=True), []
+    times = np.linspace(0.0, 0.5, 1001)
+    for time in times:
+        simulation.advance_to(time)
+        presses.append(simulation.sample().signals["floor.normal_force"] > 0.0)
+    simulation.advance_to(0.6)  # events come with the whole step
+    events = simulation.drain_events()
+    both = [(event.time, event.kind) for event in events if event.kind in ("touch", "leave")]
+    at, kinds = zip(*both)
+    assert kinds[::2] == ("touch",) * len(kinds[::2]) and kinds[1::2] == ("leave",) * len(kinds[1::2])
+    assert (np.searchsorted(at, times) % 2 == 1).tolist() == presses
+    assert sum(presses) > 100 and {"slip", "stick"} < {event.kind for event in events}
+
+
 @pytest.mark.parametrize("restitution, speed", [(0.9, 1.0), (0.5, 2.0), (0.1, 0.3), (0.02, 5.0)])
 @pytest.mark.parametrize("stiffness", [1e2, 1e5])
 def test_a_ball_leaves_with_its_restitution(restitution, speed, stiffness):
