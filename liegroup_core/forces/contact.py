@@ -449,7 +449,7 @@ class _Formulas:
             return []
         slips = [self.let(each) for each in slips]
         first = len(self._states)
-        bristle = [f"_z{first + k}" for k in range(len(slips))]
+        bristle = [f"bristle{first + k}" for k in range(len(slips))]
         bent = bristle
         if axes[1] is None:  # what the normal has turned away no longer counts
             along = self.let(_dot(axes[0], bristle))
@@ -559,7 +559,7 @@ def _touch_with_rim(found, body, shape, end, axes, height):
 
     Its friction acts at their centre of pressure c, and as a couple: so it moves smoothly with a cylinder that stands,
     whose lowest point jumps around the rim. The third slip speed is that of the spin times l = r - c^2 / r, which is r
-    where all press evenly and 0 on one point. With w = (x, z), for slip and spin, the friction is -mu N min(1, D) grad D,
+    where all press evenly, 0 on one point. With w = (x, z), for slip and spin, the friction is -mu N min(1, D) grad D,
 
         D^2 = x^2 + z^2 - x^2 z^2 / (2 (1 + x^2 + z^2))
 

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from liegroup_core import SceneError, Simulation
 from liegroup_core.forces.contact import SHORT
 from liegroup_core.lie.groups import SO3
-from liegroup_core.linear import linearise, sensitivities
+from liegroup_core.linear import linearise, modes_of, sensitivities
 from liegroup_core.reports import explain
 from liegroup_core.scene.load import scene_from_text
 from liegroup_core.status import NOT_FINITE
@@ -338,6 +338,33 @@ def test_sensitivities_hold_through_bounces_of_a_box():
     (x, z), (by_x, by_z) = found.values.T, found.derivatives[:, :, 0].T
     assert_allclose(x, 9.0 - 0.1 * (3.0 * G * times + z), atol=1e-9)
     assert_allclose(by_x, -(3.0 * G * times + z) - 0.1 * by_z, atol=1e-8)
+
+
+def test_a_standing_box_has_the_states_on_which_something_depends():
+    """Springs of its four lower corners, across mu N / slip each; the work, and bristles of upper corners, do nothing.
+
+    12 states of the body and 8 bristles. They integrate the same three velocities, so 8 poles are zero. Its response to
+    a slow push is that of statics, with its tilt; at 0.01 rad/s inertia and damping add 1e-9 of it.
+    """
+    mass, half, low, stiffness, depth, mu, slip = 3.0, 0.2, 0.05, 1e6, 3.0 * G / 4e6, 0.5, 1e-4
+    body = BRICK % (0.0, low - depth, "linear_velocity: [0, 0, 0]")
+    brick = scene(
+        [body], [f"name: floor, body: brick, stiffness: {stiffness}, damping: 10, friction: {mu}, slip: {slip}"]
+    )
+    simulation = Simulation(brick, accuracy=1e-6, quiet=True)
+    system = linearise(simulation, ["brick.force_x"], ["brick.x", "floor.normal_force"])
+    bristles = [name for name in system.states if name.startswith("floor.")]
+    assert bristles == [f"floor.bristle{4 * point + k}" for point in range(4) for k in range(2)]
+    assert len(system.A) == 20 and (np.abs(system.poles) <= system.round_off).sum() == 8
+    s = 0.01j
+    (x,), _ = (system.C @ np.linalg.solve(s * np.eye(20) - system.A, system.B) + system.D).tolist()
+    tilt = 4.0 * stiffness * half**2 - mass * G * low
+    assert x.real == pytest.approx(slip / (mu * mass * G) + low**2 / tilt, rel=1e-8)
+    # The corners press with k d (1 + c d').
+    heights = system.C[1, [system.states.index(name) for name in ("brick.z", "brick.z.rate")]]
+    assert_allclose(heights, [-4.0 * stiffness, -4.0 * stiffness * 10 * depth], rtol=1e-9)
+    assert linearise(simulation, [], ["floor.work"]).states == (*system.states, "floor.work")
+    assert modes_of(linearise(simulation, [], []))[-1].pole.real < 0.0
 
 
 def test_forces_of_supports_are_those_of_statics():
