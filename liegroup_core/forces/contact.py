@@ -706,8 +706,11 @@ def _touch_each_other(found, bodies, shapes, short):
     distance f, for both ends e: those of an axis along the other body are its ends, of others the nearest point. This
     sum is strictly convex, as f is convex, so its minimum moves with the bodies without jumps, and no change of the
     part of f in which it is has to be an event. The force is the gradient of the minimum, so that nothing but damping
-    and friction takes energy. With b = 0.8 short times the sum of the radii, points are the ends up to a lean by 0.8
-    short along the axis, and a point at its middle is deeper by short / 2 than one alone would be.
+    and friction takes energy. It depends on the angle at which two axes cross, as that of elastic bodies does, by an
+    amount of order b^2: so it turns them about the normal, and capsules that meet at their middles at an angle spin
+    after an impact, with energy that their speeds lack. With b = 0.8 short times the sum of the radii, points are the
+    ends up to a lean by 0.8 short along the axis, and a point at its middle is deeper by short / 2 than one alone would
+    be.
     """
     if shapes[0].type == "box" or shapes[0].type == shapes[1].type == "capsule" and shapes[0].length > shapes[1].length:
         bodies, shapes = bodies[::-1], shapes[::-1]

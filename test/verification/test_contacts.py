@@ -136,6 +136,34 @@ def test_a_ball_leaves_with_its_restitution(restitution, speed, stiffness):
     assert simulation.sample().twist[0, 5] == pytest.approx(restitution * speed, abs=1e-9)
 
 
+@pytest.mark.parametrize("angle", [0.3, 0.8, math.pi / 2])
+def test_crossing_capsules_keep_their_energy(angle):
+    """What their speeds lack is in a spin about the normal, by the angle in the sum of `_touch_each_other`.
+
+    The squared distance is h^2 + a sin^2(p) (s - 1/2)^2 with the squared length a, so the least sum exceeds h^2 by
+    m = 5/4 b - 9/4 b^2 / (a sin^2(p) + b), and both points together have the lever m'(p) / (2 h) of the normal force.
+    """
+    radius, length, speed, stiffness = 0.05, 0.1, 1.0, 1e9
+    shape = f"type: capsule, radius: {radius}, length: {length}, mass: 1"
+    bodies = [
+        f"{{name: a, shape: {{{shape}, axis: [1, 0, 0]}}, position: [0, 0, 0.11], linear_velocity: [0, 0, {-speed}]}}",
+        f"{{name: b, shape: {{{shape}, axis: [{math.cos(angle)}, {math.sin(angle)}, 0]}}}}",
+    ]
+    made = scene(bodies, [f"name: c, body: a, other: b, stiffness: {stiffness}, damping: 0"], gravity=0.0)
+    simulation = Simulation(made, accuracy=1e-8, quiet=True)
+    simulation.advance_to(0.02)
+    spin, up = simulation.sample().twist[:, [2, 5]].T
+    cylinder, ends = np.array([length, 4.0 / 3.0 * radius]) / (length + 4.0 / 3.0 * radius)
+    inertia = cylinder * (length**2 / 12.0 + radius**2 / 4.0)
+    inertia += ends * (0.4 * radius**2 + length**2 / 4.0 + 0.375 * length * radius)
+    lean, b = length**2 * math.sin(angle) ** 2, 0.8 * SHORT * radius * 2.0 * radius
+    lever = 9.0 * b**2 * length**2 * math.sin(2.0 * angle) / (4.0 * (lean + b) ** 2) / (4.0 * radius)
+    # Both masses of 1 kg exchange 1 N s. The distance h differs from both radii by the depth, 2.2e-5 m, and m / (4 r).
+    assert_allclose(spin, [-lever / inertia, lever / inertia], rtol=6e-4, atol=1e-12)
+    # Each round-off of a place by 1.4e-17 m is 1e-12 N s in the 7e-5 s of the contact.
+    assert up[0] - up[1] == pytest.approx(math.sqrt(speed**2 - 2.0 * inertia * (spin**2).sum()), abs=1e-11)
+
+
 def test_a_sliding_ball_rolls_after_two_sevenths_of_its_speed():
     """It slides for t = 2 v / (7 mu g), then rolls with 5/7 v; the way differs with the order 1 of the slip length."""
     friction, speed = 0.3, 1.0
