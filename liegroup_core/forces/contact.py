@@ -165,8 +165,10 @@ class Contact(Force):
             raise SceneError("restitution must be from 0.01 to 1", place=("restitution",))
         if self.other is not None and "plane" in self.model_fields_set:
             raise SceneError("plane and other: keep one", place=("plane",))
-        if self.other == self.body or self.other is None and self.other_shape is not None:
+        if self.other == self.body:
             raise SceneError("other must be another body", place=("other",))
+        if self.other is None and self.other_shape is not None:
+            raise SceneError("other is missing: name the body that has other_shape", place=("other_shape",))
         if self.friction and self.slip is None and self.sinks is None:
             raise SceneError("slip is missing: friction yields by this length in m until it slides", place=("slip",))
         return self

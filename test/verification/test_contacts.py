@@ -690,6 +690,10 @@ def test_derivatives_of_a_bounce_are_those_of_its_closed_form():
         ("stiffness: 1, damping: 1, friction: 1", "slip is missing"),
         ("stiffness: 1, damping: 1, other: bal", "other 'bal' is not a body"),
         ("stiffness: 1, damping: 1, other: ball", "other must be another body"),
+        (
+            "stiffness: 1, damping: 1, other_shape: {type: sphere, radius: 1}",
+            "^test:6: .*other is missing: name the body that has other_shape",
+        ),
         ("stiffness: 1, damping: 1, shape: {type: hull, points: []}", "must be 1 to 64 points"),
     ],
 )
