@@ -411,6 +411,26 @@ def test_forces_of_supports_are_those_of_statics():
     assert shown["left.depth"] == pytest.approx(0.5 * shown["left.normal_force"] / 1e5, rel=1e-6)
 
 
+@pytest.mark.parametrize(
+    "shape, height, points",
+    [
+        ("type: sphere, radius: 0.1", 0.1, 1),
+        ("type: capsule, radius: 0.1, length: 0.3, axis: [1, 0, 0]", 0.1, 2),
+        ("type: cylinder, radius: 0.1, length: 0.3, axis: [1, 0, 0]", 0.1, 2),
+        ("type: cylinder, radius: 0.1, length: 0.3", 0.15, 4),
+        ("type: box, size: [0.3, 0.2, 0.1]", 0.05, 4),
+    ],
+)
+def test_a_body_sinks_by_a_part_for_each_point(shape, height, points):
+    """There its points carry its weight; 1e-9 of the depth is 1e-13 m, the round-off of heights."""
+    depth = 1e-4 / points
+    body = f"{{name: b, shape: {{{shape}, mass: 2}}, position: [0, 0, {height - depth}]}}"
+    made = scene([body], ["name: floor, body: b, sinks: 1.0e-4, restitution: 0.5, friction: 0.3"])
+    shown = Simulation(made, accuracy=1e-4, quiet=True).sample().signals
+    assert shown["floor.normal_force"] == pytest.approx(2.0 * G, rel=1e-9)
+    assert shown["floor.depth"] == pytest.approx(depth, rel=1e-9)
+
+
 SHAPES = {
     "sphere": "type: sphere, radius: 0.1",
     "capsule": "type: capsule, radius: 0.1, length: 0.3",
