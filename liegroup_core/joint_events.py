@@ -106,6 +106,11 @@ class JointEvents:
         if self._switching is not None:
             self._switching.parts = parts
 
+    def leave_contacts_out(self):
+        """Note no events of contacts from now on: nobody reads them."""
+        if self._switching is not None:
+            self._switching.touching = None
+
     def drain_instants(self) -> list[JointInstant]:
         """Return the modes of all joints with stops or friction where one, or the branch of a law, changed.
 

@@ -54,7 +54,7 @@ class Switching(EventTimes):
 
     take, step, control : see EventTimes
     lead    : Lead of the method
-    touching : Touching of the contacts
+    touching : Touching of the contacts; None: their events are not noted
 
     instants : [JointInstant] since they were last taken; None: not recorded
     count   : number of events since the state was set
@@ -64,12 +64,9 @@ class Switching(EventTimes):
 
     def __init__(self, model, work, take, step, control, lead, touching):
         super().__init__(model, work, take, step, control)
+        self._lead, self._points = lead, None
         # Without error control, branches are not known.
-        self._lead, self._touching, self._points = (
-            lead,
-            touching if touching.names and len(work.branches) else None,
-            None,
-        )
+        self.touching = touching if touching.names and len(work.branches) else None
         self.instants, self.count = None, 0
         self.endless = self._inputs = None
         self.tally = np.zeros(len(work.guards), dtype=int)
@@ -310,8 +307,8 @@ class Switching(EventTimes):
         """
         work, time = self._work, float(time)  # users read it in the events
         work.clock.now[0], log = time, len(self.events)
-        if self._touching and self._points is None:
-            self._points = self._touching.points(self._sides())
+        if self.touching and self._points is None:
+            self._points = self.touching.points(self._sides())
         crossed, ends = np.split(crossed, [len(work.modes)])
         status = self._slide(self._change_branches(time, ends), state)
         if status == OK and len(work.modes):
@@ -329,9 +326,9 @@ class Switching(EventTimes):
             status = self._look(self._model, work, *state)
         if len(work.shares):
             self._keep_shares()
-        if status == OK and self._touching:
-            before, self._points = self._points, self._touching.points(self._sides(), self._points)
-            changes = self._touching.changes(before, self._points)
+        if status == OK and self.touching:
+            before, self._points = self._points, self.touching.points(self._sides(), self._points)
+            changes = self.touching.changes(before, self._points)
             self.events += [JointEvent(time, len(work.modes) + c, kind) for c, kind in changes]
         if status == OK and self.instants is not None:
             self.instants.append(JointInstant(time, self.present_modes(), self.events[log:], self._sides()))

@@ -75,6 +75,8 @@ class Touching:
     def changes(self, before, points):
         """[(number of a contact, TOUCH, LEAVE, SLIDE or STICK)] of those whose modes change with their points."""
         found = []
+        if (before == points).all():
+            return found
         for c, (was, now) in enumerate(zip(self.modes(before), self.modes(points))):
             if (was == APART) != (now == APART):
                 found.append((c, LEAVE if now == APART else TOUCH))
