@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Events of an Engine at joints with stops or dry friction: impacts, contact, sticking, slipping."""
+"""Events of an Engine at joints with stops or dry friction, and of contacts: impacts, sticking, slipping."""
 
 from typing import NamedTuple
 
@@ -40,13 +40,14 @@ def has_impacts(scene: Scene) -> bool:
 
 
 class JointEvents:
-    """Events of an Engine at joints with stops or friction; there are none without a Switching.
+    """Events of an Engine at joints with stops or friction, and of contacts; there are none without a Switching.
 
     parts : number of parts into which every step up to an event, of a stop, friction or an input, is divided
     """
 
     def __init__(self, layout, switching):
         self._layout, self._switching = layout, switching
+        self._names = (*(switch.name for switch in layout.switches), *layout.touching.names)
         self.parts = 1
 
     @property
@@ -55,14 +56,17 @@ class JointEvents:
         return 0 if self._switching is None else self._switching.count
 
     def drain_events(self) -> list[JointEvent]:
-        """Return the events of stops and dry friction since the last call, in order of time.
+        """Return the events of stops, dry friction and contacts since the last call, in order of time.
 
-        At most the last 100 000 are kept.
+        At most the last 100 000 are kept. Contacts have none with fixed steps, which locate nothing.
         """
         if self._switching is None:
             return []
         events, self._switching.events[:] = self._switching.events[:], []
-        return [event._replace(joint=self._layout.switches[event.joint].name) for event in events]
+        return self._named(events)
+
+    def _named(self, events):
+        return [event._replace(joint=self._names[event.joint]) for event in events]
 
     @property
     def pending(self):
@@ -102,15 +106,17 @@ class JointEvents:
         if self._switching is not None:
             self._switching.parts = parts
 
+    def leave_contacts_out(self):
+        """Note no events of contacts from now on: nobody reads them."""
+        if self._switching is not None:
+            self._switching.touching = None
+
     def drain_instants(self) -> list[JointInstant]:
-        """Return the modes of all joints with stops or friction where one changed since the last call.
+        """Return the modes of all joints with stops or friction where one, or the branch of a law, changed.
 
         They are kept from the first call on. Events of a state that was set before are lost.
         """
         if self._switching is None:
             return []
         instants, self._switching.instants = self._switching.instants or [], []
-        names = [switch.name for switch in self._layout.switches]
-        return [
-            instant._replace(events=[e._replace(joint=names[e.joint]) for e in instant.events]) for instant in instants
-        ]
+        return [instant._replace(events=self._named(instant.events)) for instant in instants]

@@ -154,6 +154,7 @@ class RunningError:
         if engine._switching is not None or not METHODS[engine.method].controlled:
             companion.events.divide(PARTS)
         companion.inputs.log = None  # nothing reads it
+        companion.events.leave_contacts_out()
         return companion
 
     def restart(self):

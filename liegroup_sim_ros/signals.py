@@ -40,6 +40,12 @@ def end_as_by_ctrl_c():
         signal.signal(number, signal.default_int_handler)
 
 
+def ignore():
+    """Let all SIGNALS have no effect from now on: the program ends."""
+    for number in handled():
+        signal.signal(number, signal.SIG_IGN)
+
+
 def handled():
     """SIGNALS that this thread can handle: none outside the main thread; no SIGHUP under nohup, which ignores it.
 

@@ -42,11 +42,12 @@ IMPACT = "impact"
 
 
 class JointEvent(NamedTuple):
-    """Event at a joint with stops or friction.
+    """Event at a joint with stops or friction, or of a contact.
 
     time    : s
-    joint   : number of the switch
-    kind    : "impact", "stop" (it stays at a stop), "leave" (a stop), "stick" or "slip"
+    joint   : number of the switch; of a contact, after all switches
+    kind    : "impact", "stop" (it stays at a stop), "leave" (a stop), "stick" or "slip"; of a contact "touch", "leave",
+              "slip" (all points that press) or "stick"
     impulse : of an impact, on the joint's coordinate, N m s or N s
     energy  : change of the kinetic energy by this impulse, J; the sum over an impact is not positive
     """

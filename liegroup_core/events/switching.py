@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Steps of a Munthe-Kaas method with the events of stops and dry friction, and of the branches of laws.
+"""Steps of a Munthe-Kaas method with the events of stops, dry friction and contacts, and of the branches of laws.
 
 An event ends the smooth motion between two steps: a joint reaches a stop or leaves it, comes to rest
 or breaks away, or a law changes its branch. munthe_kaas.py returns at the start of the substep in which a guard
@@ -31,7 +31,7 @@ BEYOND = 1e-9  # rad, or relative to the characteristic length: a state that is 
 DENSE, SHORT = 50, 0.005
 MOST_KEPT = 100_000  # events kept until they are taken
 
-STOP, LEAVE, STICK, SLIDE = "stop", "leave", "stick", "slip"
+STOP, TOUCH, LEAVE, STICK, SLIDE = "stop", "touch", "leave", "stick", "slip"
 
 
 class JointInstant(NamedTuple):
@@ -39,7 +39,7 @@ class JointInstant(NamedTuple):
 
     time     : s
     modes    : (k, 5) from then on, as Sample.switching
-    events   : [JointEvent] of this time; none where a run starts, and of laws
+    events   : [JointEvent] of this time; none where a run starts, and of other laws than contacts
     branches : (q,) of the kinks of laws, see forces/formulas.py; UNKNOWN where their block is skipped
     """
 
@@ -54,6 +54,7 @@ class Switching(EventTimes):
 
     take, step, control : see EventTimes
     lead    : Lead of the method
+    touching : Touching of the contacts; None: their events are not noted
 
     instants : [JointInstant] since they were last taken; None: not recorded
     count   : number of events since the state was set
@@ -61,9 +62,11 @@ class Switching(EventTimes):
     tally   : (g,) number of instants at which a guard of each switch and branch was zero, since the state was set
     """
 
-    def __init__(self, model, work, take, step, control, lead):
+    def __init__(self, model, work, take, step, control, lead, touching):
         super().__init__(model, work, take, step, control)
-        self._lead = lead
+        self._lead, self._points = lead, None
+        # Without error control, branches are not known.
+        self.touching = touching if touching.names and len(work.branches) else None
         self.instants, self.count = None, 0
         self.endless = self._inputs = None
         self.tally = np.zeros(len(work.guards), dtype=int)
@@ -89,11 +92,12 @@ class Switching(EventTimes):
     def log(self):
         """What was logged and counted since the state was set."""
         lists = [None if each is None else list(each) for each in (self.events, self.instants, self.impacts)]
-        return (*lists, self.count, self.lost, self.endless, self._inputs, self.tally.copy())
+        return (*lists, self._points, self.count, self.lost, self.endless, self._inputs, self.tally.copy())
 
     def take_log(self, log):
         """Return to a `log`."""
-        self.events, self.instants, self.impacts, self.count, self.lost, self.endless, self._inputs, tally = log
+        self.events, self.instants, self.impacts, self._points, *counted, self._inputs, tally = log
+        self.count, self.lost, self.endless = counted
         self.tally[:] = tally
 
     def expect(self, coordinates):
@@ -104,7 +108,7 @@ class Switching(EventTimes):
         """Reset the modes after the state was set. Angles are unwrapped near 0, see `_meet_inputs`."""
         for part in self._all_modes:
             part[:] = 0.0
-        self.events, self.count, self.lost = [], 0, 0.0
+        self.events, self.count, self.lost, self._points = [], 0, 0.0, None
         self.endless = self._inputs = None
         self.tally[:] = 0
         self.instants = None if self.instants is None else []
@@ -161,12 +165,11 @@ class Switching(EventTimes):
         return status
 
     def _logged(self):
-        return len(self.events), len(self.instants or ()), len(self.impacts or ()), self.lost
+        return len(self.events), len(self.instants or ()), len(self.impacts or ()), self.count, self.lost, self._points
 
     def _forget(self, logged):
         """Remove what was logged after `logged`, because the step failed."""
-        events, instants, impacts, self.lost = logged
-        self.count -= len(self.events) - events
+        events, instants, impacts, self.count, self.lost, self._points = logged
         del self.events[events:]
         self.impacts = self.impacts and self.impacts[:impacts]
         if self.instants:
@@ -304,6 +307,8 @@ class Switching(EventTimes):
         """
         work, time = self._work, float(time)  # users read it in the events
         work.clock.now[0], log = time, len(self.events)
+        if self.touching and self._points is None:
+            self._points = self.touching.points(self._sides())
         crossed, ends = np.split(crossed, [len(work.modes)])
         status = self._slide(self._change_branches(time, ends), state)
         if status == OK and len(work.modes):
@@ -321,13 +326,21 @@ class Switching(EventTimes):
             status = self._look(self._model, work, *state)
         if len(work.shares):
             self._keep_shares()
+        if status == OK and self.touching:
+            before, self._points = self._points, self.touching.points(self._sides(), self._points)
+            changes = self.touching.changes(before, self._points)
+            self.events += [JointEvent(time, len(work.modes) + c, kind) for c, kind in changes]
         if status == OK and self.instants is not None:
-            is_shared_now = (self._laws.compared[: len(work.branches)] == 2) & (work.branches > 1.0)
-            sides, under = np.where(is_shared_now, SHARED, work.branches), self._laws.kinks[:, 1]
-            sides[(under >= 0) & (work.registers[under, 0] == 0.0)] = UNKNOWN  # that of before, which nothing reads
-            here = self.present_modes(), self.events[log:], sides
-            self.instants.append(JointInstant(time, *here))
+            self.instants.append(JointInstant(time, self.present_modes(), self.events[log:], self._sides()))
         return status
+
+    def _sides(self):
+        """Branches of laws, as JointInstant has them."""
+        work, under = self._work, self._laws.kinks[: len(self._work.branches), 1]
+        is_shared_now = (self._laws.compared[: len(work.branches)] == 2) & (work.branches > 1.0)
+        sides = np.where(is_shared_now, SHARED, work.branches)
+        sides[(under >= 0) & (work.registers[under, 0] == 0.0)] = UNKNOWN  # that of before, which nothing reads
+        return sides
 
     def _slide(self, shared, state):
         """Look at a state, from which the motion slides along these surfaces if it can. Returns a status."""
@@ -454,6 +467,7 @@ class Switching(EventTimes):
         if self.are_known:
             return self.present_modes()
         noted, known = (self.events, self.impacts, self.instants, self.count, self._inputs), self._work.known[0]
+        points = self._points
         kept, self.events, self.impacts, self.instants = self._keep(*state[:2]), [], None, None
         self._look(self._model, self._work, *state)
         # If the state is beyond a stop, the next step reports that.
@@ -461,6 +475,7 @@ class Switching(EventTimes):
         modes = self.present_modes()
         self._return(kept, *state[:2])
         self.events, self.impacts, self.instants, self.count, self._inputs = noted
+        self._points = points
         self._work.known[0] = known
         return modes
 

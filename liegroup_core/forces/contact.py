@@ -165,8 +165,10 @@ class Contact(Force):
             raise SceneError("restitution must be from 0.01 to 1", place=("restitution",))
         if self.other is not None and "plane" in self.model_fields_set:
             raise SceneError("plane and other: keep one", place=("plane",))
-        if self.other == self.body or self.other is None and self.other_shape is not None:
+        if self.other == self.body:
             raise SceneError("other must be another body", place=("other",))
+        if self.other is None and self.other_shape is not None:
+            raise SceneError("other is missing: name the body that has other_shape", place=("other_shape",))
         if self.friction and self.slip is None and self.sinks is None:
             raise SceneError("slip is missing: friction yields by this length in m until it slides", place=("slip",))
         return self
@@ -449,7 +451,7 @@ class _Formulas:
             return []
         slips = [self.let(each) for each in slips]
         first = len(self._states)
-        bristle = [f"_z{first + k}" for k in range(len(slips))]
+        bristle = [f"bristle{first + k}" for k in range(len(slips))]
         bent = bristle
         if axes[1] is None:  # what the normal has turned away no longer counts
             along = self.let(_dot(axes[0], bristle))
@@ -559,7 +561,7 @@ def _touch_with_rim(found, body, shape, end, axes, height):
 
     Its friction acts at their centre of pressure c, and as a couple: so it moves smoothly with a cylinder that stands,
     whose lowest point jumps around the rim. The third slip speed is that of the spin times l = r - c^2 / r, which is r
-    where all press evenly and 0 on one point. With w = (x, z), for slip and spin, the friction is -mu N min(1, D) grad D,
+    where all press evenly, 0 on one point. With w = (x, z), for slip and spin, the friction is -mu N min(1, D) grad D,
 
         D^2 = x^2 + z^2 - x^2 z^2 / (2 (1 + x^2 + z^2))
 
@@ -708,8 +710,11 @@ def _touch_each_other(found, bodies, shapes, short):
     distance f, for both ends e: those of an axis along the other body are its ends, of others the nearest point. This
     sum is strictly convex, as f is convex, so its minimum moves with the bodies without jumps, and no change of the
     part of f in which it is has to be an event. The force is the gradient of the minimum, so that nothing but damping
-    and friction takes energy. With b = 0.8 short times the sum of the radii, points are the ends up to a lean by 0.8
-    short along the axis, and a point at its middle is deeper by short / 2 than one alone would be.
+    and friction takes energy. It depends on the angle at which two axes cross, as that of elastic bodies does, by an
+    amount of order b^2: so it turns them about the normal, and capsules that meet at their middles at an angle spin
+    after an impact, with energy that their speeds lack. With b = 0.8 short times the sum of the radii, points are the
+    ends up to a lean by 0.8 short along the axis, and a point at its middle is deeper by short / 2 than one alone would
+    be.
     """
     if shapes[0].type == "box" or shapes[0].type == shapes[1].type == "capsule" and shapes[0].length > shapes[1].length:
         bodies, shapes = bodies[::-1], shapes[::-1]

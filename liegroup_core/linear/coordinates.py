@@ -38,7 +38,8 @@ NO_ROW = 1e-9  # relative size of a row, or a singular value, that is round-off
 class Coordinates:
     """Independent coordinates near the state of a Probe.
 
-    chosen : names of freedoms that are independent; None: those with the best condition
+    chosen : names of freedoms that are independent, of states of laws as many as wanted; None: those with the best
+             condition
     preferred : names that are among them if they can be
     displaced : True: coordinates that stops or friction hold are among them, without a rate; and neighbours may be
                 beside surfaces of laws
@@ -63,7 +64,7 @@ class Coordinates:
         weights = np.array([OF_JOINT if freedom.is_of_joint else 1.0 for freedom in self.freedoms])
         weights *= 1.0 - FIRST * np.arange(len(weights))
         weights[[self.number(name) for name in preferred]] = PREFERRED
-        wanted = None if chosen is None else np.array([self.number(name) for name in chosen], dtype=int)
+        wanted = None if chosen is None else self._with_all_states(list(map(self.number, chosen)), basis.shape[1])
         if probe.layout.rolls or self._slides or displaced and (probe.held.any() or probe.is_switched.any()):
             places = self._positions(displaced)
             if not displaced and wanted is not None and len(wanted) == places.shape[1] != basis.shape[1]:
@@ -79,6 +80,11 @@ class Coordinates:
         self.names, self.rate_names = ([self.freedoms[k].name for k in of] for of in (self.independent, self.moving))
         self.units = [self.freedoms[k].unit for k in self.independent]
 
+    def _with_all_states(self, numbers, count):
+        """Numbers of freedoms, and of states of laws that are not among them, up to a count."""
+        others = [k for k in np.flatnonzero(self.is_state) if k not in numbers]
+        return np.array([*numbers, *others[: max(count - len(numbers), 0)]], dtype=int)
+
     def _place_states(self):
         """Leave positions of the links of laws out: their rates are the states, see forces/law.py."""
         kept = np.ones(len(self.independent), dtype=bool) if self._with_states else ~self.is_state[self.independent]
@@ -87,6 +93,11 @@ class Coordinates:
     def rate_name(self, k):
         """Name of the rate of freedom k, of a law that of its state."""
         return self.freedoms[k].name + ("" if self.is_state[k] else ".rate")
+
+    @property
+    def state_names(self):
+        """Names of the states of a linear system: coordinates, then rates."""
+        return (*self.names, *map(self.rate_name, self.moving))
 
     @property
     def signs(self):

@@ -31,7 +31,8 @@ def of_values(values, h, weights=WEIGHTS):
     second, fourth, sixth = np.tensordot(weights, values[:, 0] - values[:, 1], 1) / h
     last, before = np.abs(sixth - fourth), np.abs(fourth - second)
     # The differences of successive orders decrease like a geometric sequence; of SIDED the first may vanish by chance.
-    ratio = np.divide(last, before, out=np.zeros_like(last), where=before > 0.0)
+    # Where only the outer values are beyond a kink, the first one is zero and the last one is not.
+    ratio = np.divide(last, before, out=np.ones_like(last), where=before > 0.0)
     rounding = ROUND_OFF * np.abs(values).max(axis=(0, 1)) / h
     error = last * (np.minimum(ratio, 1.0) if weights is WEIGHTS else 1.0) + rounding
     size = _largest(np.abs(sixth))

@@ -29,7 +29,7 @@ class LinearSystem:
 
     A (n, n), B (n, k), C (p, n), D (p, k) : see the module; SI units
     states, inputs, outputs : names; the states are m coordinates, then rates: as many, or fewer with rolling
-                              and on surfaces of laws
+                              and on surfaces of laws, and states of laws on which something depends
     coordinates : m
     motions   : (f, m) change of each degree of freedom of the tree with the coordinates
     freedoms  : names of the f degrees of freedom
@@ -171,18 +171,22 @@ def change_of(probe, system):
     largest = np.abs(system.A).max(initial=0.0)
     if not largest:
         return 0.0
-    chosen = [name.removesuffix(".rate") for name in system.states[m:]]
-    coordinates = Coordinates(probe, chosen)
+    coordinates = Coordinates(probe, _chosen(system))
     speed, way = coordinates.along(coordinates.signs * system.slope[:m])
-    return float(np.abs(_change(probe, coordinates, way)).max() * speed / largest) if speed else 0.0
+    return float(np.abs(_change(probe, coordinates, system, way)).max() * speed / largest) if speed else 0.0
 
 
-def _change(probe, coordinates, way):
-    """Derivative of A (n, n) along a way y (f, 2), by a central difference."""
+def _chosen(system):
+    """Names of the freedoms whose rates are states of a LinearSystem."""
+    return [name.removesuffix(".rate") for name in system.states[system.coordinates :]]
+
+
+def _change(probe, coordinates, system, way):
+    """Derivative of A (n, n) of a LinearSystem along a way y (f, 2), by a central difference."""
     kept, sides = probe.keep(), []
     for sign in (1.0, -1.0):
         probe.go_to(sign * DISPLACED * way)
-        sides.append(system_of(probe, [], [], coordinates.rate_names, coordinates.names).A)
+        sides.append(system_of(probe, [], [], coordinates.rate_names, coordinates.names, system.states).A)
         probe.restore(kept)
     return (sides[0] - sides[1]) / (2.0 * DISPLACED)
 
@@ -199,8 +203,8 @@ def pole_errors(simulation, system, time=None):
     poles, m, n = system.poles, system.coordinates, len(system.A)
     if probe.base.errors is None or not n:
         return np.full(n, np.nan)
-    chosen = [name.removesuffix(".rate") for name in system.states[m:]]
-    shown = system_of(probe, [], ["bodies", "twists"], chosen).C
+    chosen = _chosen(system)
+    shown = system_of(probe, [], ["bodies", "twists"], chosen, states=system.states).C
     position, attitude, velocity, rate = np.maximum(probe.base.errors, 1e-300).T
     errors = np.concatenate([_by_body(attitude, position), _by_body(rate, velocity)])
     largest = np.abs(np.linalg.pinv(shown / errors[:, None])).sum(axis=1)
@@ -209,8 +213,10 @@ def pole_errors(simulation, system, time=None):
     product = np.einsum("ij,ij->j", left.conj(), right)
     found = system.error * np.abs(system.A).max() / np.where(product != 0.0, np.abs(product), np.nan)[order]
     coordinates = Coordinates(probe, chosen)
-    for k in range(n):
-        change = _change(probe, coordinates, coordinates.neighbour(k - m if k >= m else k, 1.0, k >= m))
+    for k, name in enumerate(system.states):
+        place = coordinates.state_names.index(name)
+        way = coordinates.neighbour(place - m if k >= m else place, 1.0, k >= m)
+        change = _change(probe, coordinates, system, way)
         with np.errstate(divide="ignore", invalid="ignore"):  # a pole without independent eigenvectors: NaN
             moved = np.abs(np.einsum("ij,ik,kj->j", left.conj(), change, right) / product)
         found += largest[k] * moved[order]
@@ -222,16 +228,19 @@ def _by_body(turning, moving):
     return np.repeat(np.stack([turning, moving], axis=1), 3, axis=1).ravel()
 
 
-def system_of(probe, inputs=None, outputs=None, independent=None, preferred=()):
-    """As `linearise`, of a Probe; preferred: as of Coordinates."""
+def system_of(probe, inputs=None, outputs=None, independent=None, preferred=(), states=None):
+    """As `linearise`, of a Probe; preferred: as of Coordinates.
+
+    states : names of the states; None: without states of laws on which no rate and no output depends
+    """
     coordinates = Coordinates(probe, independent, preferred)
     inputs, outputs = InputChannels(probe, inputs), OutputChannels(probe, outputs)
     rows = np.concatenate([coordinates.independent, probe.freedoms + coordinates.moving])
     signs = np.concatenate([coordinates.signs, coordinates.rate_signs])
-    m, states = len(coordinates.independent), len(rows)
+    m, n = len(coordinates.independent), len(rows)
 
     moves = [(coordinates.neighbour(k, 1.0), coordinates.size(k)) for k in range(m)]
-    moves += [(coordinates.neighbour(k, 1.0, True), coordinates.rate_size(k)) for k in range(states - m)]
+    moves += [(coordinates.neighbour(k, 1.0, True), coordinates.rate_size(k)) for k in range(n - m)]
     count = len(moves) + len(inputs)
     directions, sizes = np.zeros((count, probe.freedoms, 2)), np.concatenate([[h for _, h in moves], inputs.sizes])
     directions[: len(moves)] = np.reshape([y for y, _ in moves], (len(moves), probe.freedoms, 2))
@@ -253,22 +262,31 @@ def system_of(probe, inputs=None, outputs=None, independent=None, preferred=()):
         parts = [derivative(lambda s, d=d: seen(d, s), sizes[d]) for d in range(count)]
         shown, doubt = (np.reshape(part, (count, len(outputs))) for part in zip(*parts)) if parts else (doubt, doubt)
     matrix, error = np.hstack([found, shown]).T, np.hstack([errors, doubt]).T
-    matrix[:, :states] *= signs
+    matrix[:, :n] *= signs
     # Round-off of entries that are zero would couple what is not: eigenvectors depend on it.
     matrix[np.abs(matrix) <= error] = 0.0
-    own, rest = slice(0, states), slice(states, None)
+    all_states, is_law = coordinates.state_names, np.append(np.zeros(m, bool), coordinates.is_state[coordinates.moving])
+    if states is None:
+        places = np.flatnonzero(~is_law | matrix[:, :n].any(axis=0))
+    else:
+        places = np.array([all_states.index(name) for name in states], dtype=int)
+    used = np.append(places, np.arange(n, len(matrix[0])))
+    matrix, error = (each[np.append(places, np.arange(n, len(each)))][:, used] for each in (matrix, error))
+    slope, states = (signs * probe.slopes()[0][rows])[places], tuple(all_states[k] for k in places)
+    n = len(places)
+    own, rest = slice(0, n), slice(n, None)
     parts = [(np.abs(matrix[rows]).max(initial=0.0), error[rows]) for rows in (own, rest)]
     names = [freedom.name for freedom in coordinates.freedoms]
     all_signs = np.array([freedom.sign for freedom in coordinates.freedoms])
     return LinearSystem(
-        *(matrix[:states, :states], matrix[:states, states:], matrix[states:, :states], matrix[states:, states:]),
-        states=(*coordinates.names, *map(coordinates.rate_name, coordinates.moving)),
+        *(matrix[:n, :n], matrix[:n, n:], matrix[n:, :n], matrix[n:, n:]),
+        states=states,
         coordinates=m,
         inputs=tuple(inputs.names),
         outputs=tuple(outputs.names),
         motions=all_signs[:, None] * coordinates.motions * coordinates.signs,
         freedoms=tuple(names),
-        slope=signs * probe.slopes()[0][rows],
+        slope=slope,
         error=max(part.max(initial=0.0) / size if size > 0.0 else 0.0 for size, part in parts),
         time=probe.base.time,
         scene=probe.layout.scene.name,

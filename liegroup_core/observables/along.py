@@ -30,7 +30,7 @@ def _along(model, angle, pose, twist, energy_out, parts_out, residual_out, angle
 
 @SameTypes
 @kernel
-def _powers(forces, angle, targets, registers, times, pose, twist, known, out):
+def _powers(forces, angle, targets, registers, times, pose, twist, out):
     for k in range(len(pose)):
         law.enter_numbers(forces.laws, times[k], angle[k], registers)
         law.measure(forces.laws, angle[k], pose[k], twist[k], registers)
@@ -38,10 +38,6 @@ def _powers(forces, angle, targets, registers, times, pose, twist, known, out):
         out[k, 0], out[k, 1], out[k, 2], out[k, 3], out[k, 4] = found
         for e in range(len(forces.laws.outputs)):
             out[k, FIRST_LAW + forces.laws.owners[e]] += law.power_of(forces.laws, e, registers, pose[k], twist[k])
-        for s in range(len(known)):
-            rate = registers[forces.laws.states[known[s, 1], 1], 0]
-            out[k, FIRST_LAW - 1] -= rate
-            out[k, FIRST_LAW + known[s, 0]] -= rate
 
 
 @SameTypes
@@ -82,14 +78,17 @@ def rows(pose, twist):
 def powers(layout, angles, targets, times, pose, twist, known=()):
     """(k, p + l) W of the non-conservative forces of a layout by kinds.POWERS and of each law, in k states.
 
-    known : [(number of a law, of its state that is its work)]: these have no part in it
+    known : [number of a law] that have no part in it, as their work is known
     The inputs are the same in all. angles (k, t) rad; targets as for kinds.powers; times (k,) s; pose (k, n, 12),
     twist (k, n, 6) of the frames at the centres of mass
     """
     out = np.zeros((len(pose), len(kinds.POWERS) + len(law.laws_of(layout.scene.forces))))
     forces = layout.model.forces
     given = [np.array(part, order="C") for part in (angles, targets, forces.laws.registers, times, pose, twist)]
-    _powers(forces, *given, np.array(known, dtype=np.int64).reshape(-1, 2), out)
+    _powers(forces, *given, out)
+    if known:
+        out[:, [FIRST_LAW + law for law in known]] = 0.0
+        out[:, FIRST_LAW - 1] = out[:, FIRST_LAW:].sum(axis=1)
     return out
 
 

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What contacts exert on their bodies, and where: from the registers of their laws (forces/contact.py)."""
+"""What contacts do, and what they exert on their bodies, and where: from their laws (forces/contact.py)."""
 
 import numpy as np
 
+from liegroup_core.events.switching import LEAVE, SLIDE, STICK, TOUCH
 from liegroup_core.forces.formulas import ABOVE, AND, BELOW, LESS, LESS_EQUAL, OPEN
 from liegroup_core.forces.law import registers_of
 from liegroup_core.forces.skipping import instructions
@@ -58,12 +59,11 @@ class Touching:
         pairs = np.reshape([each + each[:1] * (most - len(each)) for each in found], (-1, 2, most, 2))
         self._kinks, self._sides = pairs[..., 0].astype(int), pairs[..., 1]
 
-    def points(self, registers):
-        """(m, 2) whether each point of a contact presses, and whether it would slip then."""
-        return (registers[self._conditions, 0] > 0.0) & (self._conditions >= 0)
+    def points(self, branches, before=False):
+        """(m, 2) whether each point of a contact presses, and whether it would slip then.
 
-    def points_in(self, branches, before):
-        """The same by the branches (q,) of the kinks of laws; before : as it was, where a branch is open."""
+        branches : (q,) of the kinks of laws;  before : the result as it was, where a branch is open
+        """
         found = branches[self._kinks]
         return np.where((found == OPEN).any(axis=-1), before, (found == self._sides).all(axis=-1))
 
@@ -71,6 +71,18 @@ class Touching:
         """(c,) APART; STICKS: a point that presses sticks; SLIPS: all points that press slip.  points : (m, 2)."""
         presses, slips = points.T
         return (self._of @ presses > 0.0) * (SLIPS - (self._of @ (presses & ~slips) > 0.0))
+
+    def changes(self, before, points):
+        """[(number of a contact, TOUCH, LEAVE, SLIDE or STICK)] of those whose modes change with their points."""
+        found = []
+        if (before == points).all():
+            return found
+        for c, (was, now) in enumerate(zip(self.modes(before), self.modes(points))):
+            if (was == APART) != (now == APART):
+                found.append((c, LEAVE if now == APART else TOUCH))
+            if now != APART and (was == SLIPS) != (now == SLIPS):
+                found.append((c, SLIDE if now == SLIPS else STICK))
+        return found
 
     def at(self, registers, pose):
         """(c, 9) per contact: centre of pressure, world axes, or NaN; torque and force on the body, as Sample.

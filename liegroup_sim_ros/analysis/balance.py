@@ -24,9 +24,8 @@ from liegroup_sim_ros.messages.joint_modes import ENERGY
 
 from .acting import ActingInputs
 
-WORKS = (*kinds.POWERS, "wrenches", "driven joints", "stops and friction", "impacts")
-LAWS = kinds.POWERS.index("laws")
-OTHERS, IMPACTS = slice(len(kinds.POWERS), len(WORKS) - 1), len(WORKS) - 1
+WORKS = (*kinds.POWERS, "wrenches", "driven joints", "stops and friction", "impacts", "contacts")
+WRENCHES, IMPACTS, CONTACTS = map(WORKS.index, ("wrenches", "impacts", "contacts"))
 MOST_POINTS = 2000  # of a curve
 DEGREE = 5
 AT_CHANGE = 1e-9  # s: stamps are rounded to ns
@@ -107,7 +106,7 @@ class Balance:
             self._error += float(error[: len(WORKS)].sum())
         for law, s in self._known:
             known = angles[:, self._first_state + s]
-            out[:, [LAWS, len(WORKS) + law]] += (known - known[0])[:, None]
+            out[:, [CONTACTS, len(WORKS) + law]] += (known - known[0])[:, None]
         track = self._stretch.joint_modes
         if track is not None:
             total = np.concatenate([[0.0], np.cumsum(track.values[:, :, ENERGY].sum(axis=1))])
@@ -123,14 +122,15 @@ class Balance:
         layout, (acting, _, modes) = self._layout, self._acting.at(self._stretch, time)
         out = np.zeros((len(times), len(self._work)))
         if self._has_forces:
-            found = powers(layout, angles, acting.targets, times, pose, twist, self._known)
-            out[:, : OTHERS.start], out[:, len(WORKS) :] = np.split(found, [OTHERS.start], axis=1)
+            own = [law for law, _ in self._known]
+            found = powers(layout, angles, acting.targets, times, pose, twist, own)
+            out[:, :WRENCHES], out[:, len(WORKS) :] = np.split(found, [WRENCHES], axis=1)
         if acts(acting.external):
-            out[:, OTHERS.start] = [power(acting.external, *state) for state in zip(pose, twist)]
+            out[:, WRENCHES] = [power(acting.external, *state) for state in zip(pose, twist)]
         if self._has_joints:
             found = layout.reactions.powers(pose, twist, angles, acting, modes, times.tolist())
             found = found if layout.switches else found * (1.0, 0.0)  # no round-off as work
-            out[:, OTHERS.start + 1 : IMPACTS] = found
+            out[:, WRENCHES + 1 : IMPACTS] = found
         return out
 
     def figures(self):

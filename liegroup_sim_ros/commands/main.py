@@ -15,11 +15,12 @@ simulation had to stop, 130 after Ctrl-C, SIGTERM, SIGHUP or SIGQUIT, 141 if the
 import errno
 import os
 import sys
+from contextlib import suppress
 from importlib import import_module
 
 from liegroup_core.errors import LieGroupSimError
 from liegroup_core.robots.access import anywhere
-from liegroup_sim_ros.signals import end_as_by_ctrl_c
+from liegroup_sim_ros.signals import end_as_by_ctrl_c, ignore
 from liegroup_sim_ros.version import __version__
 
 from .arguments import Parser
@@ -99,7 +100,7 @@ def _drop_output():
 
 def main(args=None):
     """Run the command; returns the exit code."""
-    args = sys.argv[1:] if args is None else args
+    is_program, args = args is None, sys.argv[1:] if args is None else args
     end_as_by_ctrl_c()
     try:
         arguments = make_parser(args[0] if args else None).parse_args(args)
@@ -120,7 +121,13 @@ def main(args=None):
         print(f"liegroup_sim: the output cannot be written: {error.strerror}", file=sys.stderr)
         return EXIT_WRONG_INPUT
     except KeyboardInterrupt:
-        print("liegroup_sim: interrupted", file=sys.stderr)
+        if is_program:
+            ignore()  # another one, as `timeout` sends, would interrupt the end
+        print("liegroup_sim: interrupted", file=sys.stderr, flush=True)
+        if is_program:
+            with suppress(OSError):
+                sys.stdout.flush()
+            os._exit(EXIT_INTERRUPTED)  # Python would wait for runs of other threads
         return EXIT_INTERRUPTED
 
 

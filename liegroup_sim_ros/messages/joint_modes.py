@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from liegroup_core.observables.touching import APART, SLIPS
 from liegroup_core.scene.switches import unit_of
 from liegroup_sim_ros.numbers import counted
 
@@ -28,7 +27,6 @@ MODE, SLIP, COORDINATE, IMPULSE, ENERGY, EFFORT = range(6)
 FREE, LOWER, UPPER, STICK, BEYOND_LOWER, BEYOND_UPPER = range(6)
 IMPACT = "impact"
 JOINT, CONTACT = "joint", "contact"  # names of events
-TOUCH, LEAVE, STICK_AGAIN, SLIDE = "touch", "leave", "stick", "slip"
 LINES = 20  # most instants per second of simulated time that have a line each
 
 
@@ -101,7 +99,7 @@ class JointReports:
     def __init__(self, simulation):
         self._simulation, self._last, self._time = simulation, None, 0.0
         layout = simulation.layout
-        self._encode, self._touching = encoder(layout) if layout.switches else None, layout.touching
+        self._encode = encoder(layout) if layout.switches else None
         units = {switch.name: unit_of(switch, layout.scene) for switch in layout.switches}
         self._unit = {name: "N s" if unit == "m" else "N m s" for name, unit in units.items()}
         self._clear()
@@ -116,8 +114,7 @@ class JointReports:
         simulation.drain_instants()
         self._clear()
         self._second, self._time = int(simulation.time), simulation.time
-        sample = simulation.sample()
-        self._last, self._points = sample.switching, self._touching.points(sample.registers)
+        self._last = simulation.sample().switching
         return [Report(simulation.time_ns, self._encode(self._last), None)] if self._encode else []
 
     def drain(self):
@@ -135,35 +132,23 @@ class JointReports:
         return self._sum_up(self._time)
 
     def _of_instant(self, instant):
-        time, touches = instant.time, self._touches(instant.branches)
-        texts, modes = [*map(self._text, instant.events), *(f"{name} {kind}" for name, kind in touches)], None
-        if self._encode and (instant.events or not np.array_equal(instant.modes, self._last)):
-            modes = self._encode(instant.modes, instant.events)
-        self._last, name = instant.modes, JOINT if instant.events else CONTACT
-        if not texts:  # a state that was set, friction that reverses with the motion, or another law
+        time, modes = instant.time, None
+        joints = [event for event in instant.events if event.joint in self._unit]
+        if self._encode and (joints or not np.array_equal(instant.modes, self._last)):
+            modes = self._encode(instant.modes, joints)
+        self._last, name = instant.modes, JOINT if joints else CONTACT
+        if not instant.events:  # a state that was set, friction that reverses with the motion, or another law
             return [Report(round(time * 1e9), modes, None)] if modes else []
         reports = self._sum_up(time) if int(time) > self._second else []
         line = None
         if self._lines < LINES:
             self._lines += 1
-            line = f"{time:.9f} s: {'; '.join(texts)}"
+            line = f"{time:.9f} s: {'; '.join(map(self._text, instant.events))}"
         else:
             self._more += 1
-            self._kinds.update([*(event.kind for event in instant.events), *(kind for _, kind in touches)])
+            self._kinds.update(event.kind for event in instant.events)
             self._energy += math.fsum(event.energy for event in instant.events)
         return [*reports, *([Report(round(time * 1e9), modes, line, name)] if modes or line else [])]
-
-    def _touches(self, branches):
-        """[(contact, TOUCH, LEAVE, SLIDE or STICK_AGAIN)] of those that change with some branches of laws."""
-        touching = self._touching
-        before, self._points = self._points, touching.points_in(branches, self._points)
-        found = []
-        for name, was, now in zip(touching.names, touching.modes(before), touching.modes(self._points)):
-            if (was == APART) != (now == APART):
-                found.append((name, LEAVE if now == APART else TOUCH))
-            if now != APART and (was == SLIPS) != (now == SLIPS):
-                found.append((name, SLIDE if now == SLIPS else STICK_AGAIN))
-        return found
 
     def _text(self, event):
         if event.kind != IMPACT:

@@ -296,7 +296,7 @@ def balance_table(balance):
     rows += [row(f"work of {name}", None, None, work) for name, work in balance["work_J"].items() if work]
     laws = {name: work for name, work in balance["work_of_laws_J"].items() if work}
     if 1 < len(laws) <= MOST_LAWS:
-        rows += [row(f"  of which {name}", None, None, work) for name, work in laws.items()]
+        rows += [row(f"  by {name}", None, None, work) for name, work in laws.items()]
     if balance["set_J"]:
         rows.append(row("resets and states that were set", None, None, balance["set_J"]))
     rows.append(row("does not add up by", None, None, balance["remainder_J"]))

@@ -82,6 +82,16 @@ CASES = {
         {"joint": ", friction: {coulomb: 0.8, static: 0.9}, rotor: {inertia: 0.01, ratio: 10}"},
         -0.8 * (SPEED * END - 0.5 * 0.8 / (MASS + 1.0) * END**2),
     ),
+    "contact": (  # a spring of 0.5 N/m and 0.5 rad/s, which is 1.1 m deep at the start
+        "contacts",
+        {
+            "more": FORCE.format(
+                "contact, body: block, plane: {point: [-1, 0, 0], normal: [-1, 0, 0]}, stiffness: 0.5, damping: 0, "
+                "shape: {type: sphere, radius: 0.1}"
+            )
+        },
+        -0.25 * ((1.1 * math.cos(0.5 * END) + SPEED / 0.5 * math.sin(0.5 * END)) ** 2 - 1.1**2),
+    ),
     "impact": ("impacts", {"joint": ", limits: {upper: 0.5123, restitution: 0.6}"}, -(1.0 - 0.36) * kinetic(SPEED)),
 }
 

@@ -2,6 +2,8 @@
 """Wrong arguments and files of every subcommand: one line on stderr, exit code 2, nothing written or replaced."""
 
 import shlex
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -76,3 +78,22 @@ def test_keys_prints_the_tables_of_a_word(capsys):
     assert main(["keys", "servo", "couplings"]) == 0
     printed = capsys.readouterr().out
     assert "effort_limit" in printed and "backlash" in printed and "quadratic" not in printed
+
+
+def test_a_signal_ends_a_command_at_once_with_one_line():
+    """SIGTERM while another thread has work for an hour, which Python would wait for."""
+    script = """
+import os, signal, sys, threading, time
+from concurrent.futures import ThreadPoolExecutor
+from liegroup_sim_ros.commands import identify, main
+def run(args):
+    ThreadPoolExecutor(1).submit(time.sleep, 3600)
+    print("before")
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(3600)
+identify.run = run
+sys.exit(main.main())
+"""
+    command = [sys.executable, "-c", script, "identify", "scene.yaml", "bag", "--vary", "gravity.2"]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=600)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (130, "before\n", "liegroup_sim: interrupted\n")

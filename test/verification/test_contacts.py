@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from liegroup_core import SceneError, Simulation
 from liegroup_core.forces.contact import SHORT
 from liegroup_core.lie.groups import SO3
-from liegroup_core.linear import linearise, sensitivities
+from liegroup_core.linear import linearise, modes_of, sensitivities
 from liegroup_core.reports import explain
 from liegroup_core.scene.load import scene_from_text
 from liegroup_core.status import NOT_FINITE
@@ -77,6 +77,55 @@ def test_no_touch_of_a_fast_slab_is_missed():
         assert sample.twist[0, 5] == pytest.approx(speed, rel=1e-8)
 
 
+def test_events_are_those_of_the_closed_form():
+    """Touch and leave of the bounces on a spring, also after a snapshot; steps without error control have none."""
+    height, bounces = 0.05, 20
+    fall, touch = bounce(1e4, height)
+    made = ball("stiffness: 1e4, damping: 0", RADIUS + height)
+    simulation = Simulation(made, accuracy=1e-9, quiet=True)
+    simulation.advance_to(2.5 * fall + 1.5 * touch)  # in the second contact
+    events, middle = simulation.drain_events(), simulation.snapshot()
+    for _ in range(2):
+        simulation.restore(middle)
+        simulation.advance_to(bounces * (2.0 * fall + touch))
+        found = events + simulation.drain_events()
+        assert [(event.joint, event.kind) for event in found] == [("floor", "touch"), ("floor", "leave")] * bounces
+        starts = fall + np.arange(bounces) * (2.0 * fall + touch)
+        # As the bounces above: 1e-8 m/s per bounce are 1e-9 s of fall.
+        assert_allclose([event.time for event in found], np.ravel([starts, starts + touch], "F"), atol=1e-9 * bounces)
+    assert simulation.event_count == 0  # at joints
+
+
+def test_fixed_steps_have_events_of_stops_only():
+    bodies = [BALL % (0.15, 0.0, 0.0), "{name: lid, mass: 1, inertia: [1, 1, 1]}"]
+    joint = "joints: [{name: s, type: prismatic, parent: world, child: lid, parent_frame: {}, limits: {lower: -0.1}}]"
+    made = scene(bodies, ["name: floor, body: ball, stiffness: 1e4, damping: 0"], more=joint)
+    simulation = Simulation(made, "rkmk4", 1e-3, quiet=True)
+    simulation.drain_instants()
+    simulation.advance_to(0.2)
+    (instant,) = [each for each in simulation.drain_instants() if each.events]
+    assert simulation.drain_events() == instant.events and {event.joint for event in instant.events} == {"s"}
+    assert instant.time == pytest.approx(math.sqrt(0.2 / G), abs=1e-12)
+
+
+def test_events_say_when_a_tumbling_brick_touches():
+    """By the force of the contact at a thousand times."""
+    body = BRICK % (0.0, 0.3, "linear_velocity: [1, 0, 0], angular_velocity: [3, 2, 1]")
+    brick = scene([body], ["name: floor, body: brick, sinks: 1e-4, restitution: 0.3, friction: 0.3"])
+    simulation, presses = Simulation(brick, accuracy=1e-5, quiet=True), []
+    times = np.linspace(0.0, 0.5, 1001)
+    for time in times:
+        simulation.advance_to(time)
+        presses.append(simulation.sample().signals["floor.normal_force"] > 0.0)
+    simulation.advance_to(0.6)  # events come with the whole step
+    events = simulation.drain_events()
+    both = [(event.time, event.kind) for event in events if event.kind in ("touch", "leave")]
+    at, kinds = zip(*both)
+    assert kinds[::2] == ("touch",) * len(kinds[::2]) and kinds[1::2] == ("leave",) * len(kinds[1::2])
+    assert (np.searchsorted(at, times) % 2 == 1).tolist() == presses
+    assert sum(presses) > 100 and {"slip", "stick"} < {event.kind for event in events}
+
+
 @pytest.mark.parametrize("restitution, speed", [(0.9, 1.0), (0.5, 2.0), (0.1, 0.3), (0.02, 5.0)])
 @pytest.mark.parametrize("stiffness", [1e2, 1e5])
 def test_a_ball_leaves_with_its_restitution(restitution, speed, stiffness):
@@ -85,6 +134,34 @@ def test_a_ball_leaves_with_its_restitution(restitution, speed, stiffness):
     simulation = Simulation(ball(contact, 0.2, up=-speed, gravity=0.0), accuracy=1e-9, quiet=True)
     simulation.advance_to(0.2 / speed + 200.0 * math.sqrt(2.0 / stiffness))
     assert simulation.sample().twist[0, 5] == pytest.approx(restitution * speed, abs=1e-9)
+
+
+@pytest.mark.parametrize("angle", [0.3, 0.8, math.pi / 2])
+def test_crossing_capsules_keep_their_energy(angle):
+    """What their speeds lack is in a spin about the normal, by the angle in the sum of `_touch_each_other`.
+
+    The squared distance is h^2 + a sin^2(p) (s - 1/2)^2 with the squared length a, so the least sum exceeds h^2 by
+    m = 5/4 b - 9/4 b^2 / (a sin^2(p) + b), and both points together have the lever m'(p) / (2 h) of the normal force.
+    """
+    radius, length, speed, stiffness = 0.05, 0.1, 1.0, 1e9
+    shape = f"type: capsule, radius: {radius}, length: {length}, mass: 1"
+    bodies = [
+        f"{{name: a, shape: {{{shape}, axis: [1, 0, 0]}}, position: [0, 0, 0.11], linear_velocity: [0, 0, {-speed}]}}",
+        f"{{name: b, shape: {{{shape}, axis: [{math.cos(angle)}, {math.sin(angle)}, 0]}}}}",
+    ]
+    made = scene(bodies, [f"name: c, body: a, other: b, stiffness: {stiffness}, damping: 0"], gravity=0.0)
+    simulation = Simulation(made, accuracy=1e-8, quiet=True)
+    simulation.advance_to(0.02)
+    spin, up = simulation.sample().twist[:, [2, 5]].T
+    cylinder, ends = np.array([length, 4.0 / 3.0 * radius]) / (length + 4.0 / 3.0 * radius)
+    inertia = cylinder * (length**2 / 12.0 + radius**2 / 4.0)
+    inertia += ends * (0.4 * radius**2 + length**2 / 4.0 + 0.375 * length * radius)
+    lean, b = length**2 * math.sin(angle) ** 2, 0.8 * SHORT * radius * 2.0 * radius
+    lever = 9.0 * b**2 * length**2 * math.sin(2.0 * angle) / (4.0 * (lean + b) ** 2) / (4.0 * radius)
+    # Both masses of 1 kg exchange 1 N s. The distance h differs from both radii by the depth, 2.2e-5 m, and m / (4 r).
+    assert_allclose(spin, [-lever / inertia, lever / inertia], rtol=6e-4, atol=1e-12)
+    # Each round-off of a place by 1.4e-17 m is 1e-12 N s in the 7e-5 s of the contact.
+    assert up[0] - up[1] == pytest.approx(math.sqrt(speed**2 - 2.0 * inertia * (spin**2).sum()), abs=1e-11)
 
 
 def test_a_sliding_ball_rolls_after_two_sevenths_of_its_speed():
@@ -291,6 +368,33 @@ def test_sensitivities_hold_through_bounces_of_a_box():
     assert_allclose(by_x, -(3.0 * G * times + z) - 0.1 * by_z, atol=1e-8)
 
 
+def test_a_standing_box_has_the_states_on_which_something_depends():
+    """Springs of its four lower corners, across mu N / slip each; the work, and bristles of upper corners, do nothing.
+
+    12 states of the body and 8 bristles. They integrate the same three velocities, so 8 poles are zero. Its response to
+    a slow push is that of statics, with its tilt; at 0.01 rad/s inertia and damping add 1e-9 of it.
+    """
+    mass, half, low, stiffness, depth, mu, slip = 3.0, 0.2, 0.05, 1e6, 3.0 * G / 4e6, 0.5, 1e-4
+    body = BRICK % (0.0, low - depth, "linear_velocity: [0, 0, 0]")
+    brick = scene(
+        [body], [f"name: floor, body: brick, stiffness: {stiffness}, damping: 10, friction: {mu}, slip: {slip}"]
+    )
+    simulation = Simulation(brick, accuracy=1e-6, quiet=True)
+    system = linearise(simulation, ["brick.force_x"], ["brick.x", "floor.normal_force"])
+    bristles = [name for name in system.states if name.startswith("floor.")]
+    assert bristles == [f"floor.bristle{4 * point + k}" for point in range(4) for k in range(2)]
+    assert len(system.A) == 20 and (np.abs(system.poles) <= system.round_off).sum() == 8
+    s = 0.01j
+    (x,), _ = (system.C @ np.linalg.solve(s * np.eye(20) - system.A, system.B) + system.D).tolist()
+    tilt = 4.0 * stiffness * half**2 - mass * G * low
+    assert x.real == pytest.approx(slip / (mu * mass * G) + low**2 / tilt, rel=1e-8)
+    # The corners press with k d (1 + c d').
+    heights = system.C[1, [system.states.index(name) for name in ("brick.z", "brick.z.rate")]]
+    assert_allclose(heights, [-4.0 * stiffness, -4.0 * stiffness * 10 * depth], rtol=1e-9)
+    assert linearise(simulation, [], ["floor.work"]).states == (*system.states, "floor.work")
+    assert modes_of(linearise(simulation, [], []))[-1].pole.real < 0.0
+
+
 def test_forces_of_supports_are_those_of_statics():
     """A beam on two supports: the lever rule."""
     body = "{name: beam, mass: 5, inertia: [0.1, 0.4, 0.4], position: [0, 0, 0]}"
@@ -305,6 +409,26 @@ def test_forces_of_supports_are_those_of_statics():
     assert shown["left.normal_force"] == pytest.approx(5 * G * 0.5 / 0.8, rel=1e-6)
     assert shown["right.normal_force"] == pytest.approx(5 * G * 0.3 / 0.8, rel=1e-6)
     assert shown["left.depth"] == pytest.approx(0.5 * shown["left.normal_force"] / 1e5, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    "shape, height, points",
+    [
+        ("type: sphere, radius: 0.1", 0.1, 1),
+        ("type: capsule, radius: 0.1, length: 0.3, axis: [1, 0, 0]", 0.1, 2),
+        ("type: cylinder, radius: 0.1, length: 0.3, axis: [1, 0, 0]", 0.1, 2),
+        ("type: cylinder, radius: 0.1, length: 0.3", 0.15, 4),
+        ("type: box, size: [0.3, 0.2, 0.1]", 0.05, 4),
+    ],
+)
+def test_a_body_sinks_by_a_part_for_each_point(shape, height, points):
+    """There its points carry its weight; 1e-9 of the depth is 1e-13 m, the round-off of heights."""
+    depth = 1e-4 / points
+    body = f"{{name: b, shape: {{{shape}, mass: 2}}, position: [0, 0, {height - depth}]}}"
+    made = scene([body], ["name: floor, body: b, sinks: 1.0e-4, restitution: 0.5, friction: 0.3"])
+    shown = Simulation(made, accuracy=1e-4, quiet=True).sample().signals
+    assert shown["floor.normal_force"] == pytest.approx(2.0 * G, rel=1e-9)
+    assert shown["floor.depth"] == pytest.approx(depth, rel=1e-9)
 
 
 SHAPES = {
@@ -586,6 +710,10 @@ def test_derivatives_of_a_bounce_are_those_of_its_closed_form():
         ("stiffness: 1, damping: 1, friction: 1", "slip is missing"),
         ("stiffness: 1, damping: 1, other: bal", "other 'bal' is not a body"),
         ("stiffness: 1, damping: 1, other: ball", "other must be another body"),
+        (
+            "stiffness: 1, damping: 1, other_shape: {type: sphere, radius: 1}",
+            "^test:6: .*other is missing: name the body that has other_shape",
+        ),
         ("stiffness: 1, damping: 1, shape: {type: hull, points: []}", "must be 1 to 64 points"),
     ],
 )

@@ -370,3 +370,10 @@ def test_stops_carry_what_they_can(upper, moved, inputs):
         assert found.efforts[0] == pytest.approx(expected[: len(inputs)], abs=1e-9)
     else:
         assert found.residual.max() > 1.0
+
+
+def test_a_derivative_sees_a_kink_between_its_outer_values():
+    """A straight line up to there has differences of orders 2 and 4 that agree to the last bit."""
+    h = 2.0**-7
+    found, error = derivative(lambda s: np.array([min(s, 2.5 * h)]), h)
+    assert found == 1.0 and error <= 1e-12

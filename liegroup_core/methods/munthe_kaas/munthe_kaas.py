@@ -67,7 +67,8 @@ class MuntheKaas:
         self._passage = SameTypes(passage)
         self.switching = None
         if len(self._work.guards):
-            self.switching = Switching(self._model, self._work, self._pass, self._step, self._control, self._lead)
+            steps = self._pass, self._step, self._control, self._lead
+            self.switching = Switching(self._model, self._work, *steps, layout.touching)
         self.restart()
 
     def add(self, method, looser=1.0):
