@@ -100,6 +100,24 @@ KINKS = {
 }
 
 
+BALL = """
+name: ball
+gravity: [0, 0, -9.81]
+bodies: [{name: ball, shape: {type: sphere, radius: 0.1, mass: 2}}]
+forces: [{name: m, type: law, signals: {u: "2 if t < END else 0"}, outputs: [{body: ball, torque: [0, u, 0]}]}]
+"""
+
+
+@pytest.mark.parametrize("accuracy", [None, 1e-3])
+def test_a_law_that_ends_with_a_step_ends(accuracy):
+    """At the end of a step, or next to it, whose time the sizes of the substeps before miss by round-off."""
+    settings = {} if accuracy is None else {"accuracy": accuracy}
+    for end in (0.5, 0.5 + 1e-10, 0.3 + 1e-11, 0.07, 0.33):
+        simulation = Simulation(scene_from_text(BALL.replace("END", repr(end))), quiet=True, **settings)
+        simulation.advance_to(1.0)
+        assert_allclose(simulation.sample().twist[0, 1], 2.0 * end / 0.008, rtol=1e-11)
+
+
 @pytest.mark.parametrize("name", KINKS)
 @pytest.mark.parametrize("method", ["rkmk54", "rkmk853", "radau5"])
 def test_errors_are_those_of_the_tolerance_through_kinks(name, method):

@@ -320,7 +320,7 @@ def _go_ahead(model, work, scheme, steps, pose, twist, external, control):
             control.fresh[0] = 0.0
             continue
         if seen == CROSSED:
-            if shorten(work, control, size, first_place(model, work)):
+            if shorten(work, control, size, at_limit, first_place(model, work)):
                 control.accepted[0] -= 1.0
                 continue
             status = EVENT
@@ -351,8 +351,13 @@ def _go_ahead(model, work, scheme, steps, pose, twist, external, control):
 
 @kernel
 def _next_size(control):
-    """Size of the next substep in s, and whether it ends at a known change: substeps up to that are equal."""
+    """Size of the next substep in s, and whether it ends at a known change: substeps up to that are equal.
+
+    But a substep that ends with a step, before an event, stays as it is.
+    """
     size, left, count = control.size[0], control.left[0], 1
+    if control.seen[0] > 0.0 and size < left:
+        return size, False
     if 0.0 < left < size * MOST_EQUAL:
         count = max(1, math.ceil(left / size - 1e-6))
         size = left / count

@@ -215,14 +215,16 @@ def passes(work, control, size, at_limit):
 
 
 @kernel
-def shorten(work, control, size, place):
+def shorten(work, control, size, at_limit, place):
     """Whether a substep with an event goes on beyond the step of the lead; then it is to be repeated with another size.
 
-    place : fraction of the substep at which the event is expected, below 1
+    at_limit : whether it ends at a known change, whose time has no round-off of the sizes before
+    place    : fraction of the substep at which the event is expected, below 1
     """
     step, lead = work.clock.step_size[0], control.lead[0]
     control.seen[0] = size
-    if lead + size <= step * (1.0 + SAME_TIME):
+    end = (control.limit_base[0] - control.base[0]) * step + control.limit[0] if at_limit else lead + size
+    if end <= step * (1.0 + SAME_TIME):
         control.due[0] = 1.0
         return False
     control.size[0] = max(1.0, math.floor((lead + place * size) / step)) * step - lead
