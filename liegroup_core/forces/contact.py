@@ -6,15 +6,16 @@ Each point of contact has a depth d, with the normal force of Hunt and Crossley
     N = k d (1 + c d') ,   0 where it is not positive
 
 and friction by a bristle z, which the slip speed v of the point bends (Dupont and others, Single State Elastoplastic
-Friction Models, IEEE TAC 47, 2002, in two dimensions):
+Friction Models, IEEE TAC 47, 2002, in two dimensions, here with a stiffness that does not depend on N):
 
-    F = -mu N w / max(1, |w|) ,   w = z + tau v / s ,   s z' = v - z h
-    h = 2 max(z . v, 0) max(|z|^2 - 1, 0) / (|z|^4 + 1)
+    F = -mu N w / max(n, |w|) ,   w = z + tau v / s ,   s z' = v - z h ,   n = N / load
+    h = 2 max(z . v, 0) max(|z|^2 - n^2, 0) / (|z|^4 + n^4)
 
-F stays in the cone. The bristle is elastic up to the cone, after the length s; nothing creeps at rest. It slips beyond,
-where |z|^2 goes to 1 + sqrt(2): round-off does not take it back to the cone. Fixed steps need not resolve it while it
-slips: |z'| is bounded, and w has the direction of v if steps are below tau. This damping is critical for a mass that
-presses by its own weight: tau = 2 sqrt(s / (mu g)).
+F stays in the cone. Within it the bristle is a spring of the stiffness mu load / s, whatever N does: were it as N, a
+body that moves along and presses in turn would gain energy, and one that stands would begin to vibrate. It yields by s
+under the load; nothing creeps at rest. It slips beyond, where |z|^2 goes to (1 + sqrt(2)) n^2: round-off does not take
+it back to the cone. Fixed steps need not resolve it while it slips: |z'| is bounded, and w has the direction of v if
+steps are below tau. This damping is critical for a mass that presses by its own weight: tau = 2 sqrt(s / (mu g)).
 It is written as formulas of a law (law.py), so touching, leaving, slip and stick are events of the methods with error
 control, and derivatives, snapshots, estimates and the reference integration are those of laws. A bristle keeps its
 place while nothing touches; that is at most 1.6 times the length s.
@@ -54,6 +55,7 @@ from .law import Law, LawInput, LawOutput, LawState
 
 MOST_POINTS = 64  # of a hull
 STANDING = 1e-9  # a cylinder that leans less stands: its four points of a rim do not turn to the lowest one
+LIGHT = 0.03  # of the load: n below. A point that slides and hardly presses yields by 3 % of s, not by nothing
 ROUND = ("sphere", "capsule")
 SHORT = 1e-3  # of a radius; at least the depth under the load, see `_touch_each_other`
 # Of the thickness of two bodies, or of the distance of a point from the origin of its body: how far they move in a step
@@ -146,7 +148,8 @@ class Contact(Force):
     speed: Positive = Field(1.0, description="m/s")
     friction: NotNegative = Field(0.0, description="coefficient of friction")
     slip: Positive | None = Field(
-        None, description="m: length by which friction yields until it slides; default: friction times `sinks`"
+        None,
+        description="m: length by which friction yields under `load` until it slides; default: friction times `sinks`",
     )
     settles: NotNegative | None = Field(
         None, description="s, damping of this: default: critical for a mass that presses by its own weight"
@@ -363,6 +366,8 @@ class _Formulas:
         self._inputs, self._signals, self._states, self._outputs = {}, {}, {}, []
         self.normals, self.yields, self.arms, self.depths, self._powers, self._near = [], [], [], [], [], ""
         self._follows, self.is_geometry, self.closing = set(), False, []
+        if "friction" in numbers:
+            self._reference = load or numbers["stiffness"] * numbers["slip"] / numbers["friction"]
 
     @property
     def law(self):
@@ -457,7 +462,10 @@ class _Formulas:
             along = self.let(_dot(axes[0], bristle))
             bent = [self.let(each) for each in _difference(bristle, _scaled(along, axes[0]))]
         square, along = self.let(_dot(bent, bent)), self.let(_dot(bent, slips))
-        yields = self.let(f"2*{along}*({square} - 1)/({square}**2 + 1) if {square} > 1 and {along} > 0 else 0")
+        most = self.let(f"sqrt(sqrt(({force}/{self._reference!r})**8 + {LIGHT**8!r}))")
+        yields = self.let(
+            f"2*{along}*({square} - {most})/({square}**2 + {most}**2) if {square} > {most} and {along} > 0 else 0"
+        )
         self.yields[-1] = yields
         rates = [self.let(f"({speed} - {each}*{yields})/slip") for speed, each in zip(slips, bent)]
         for name, rate in zip(bristle, rates):
@@ -465,16 +473,16 @@ class _Formulas:
         bent = [self.let(f"{each} + settles/slip*{speed}") for each, speed in zip(bent, slips)]
         square = _dot(bent, bent)
         if axes[1] is not None and len(slips) == 3:
-            square, bent = self._of_rim(bent)
-        drag = self.let(f"-friction*{force}/sqrt(max({square}, 1))")
+            square, bent = self._of_rim(bent, most)
+        drag = self.let(f"-friction*{force}/sqrt(max({square}, {most}))")
         self._powers.append(self._if_pushing(_times(drag, _dot(bent, slips))))
         return _scaled(drag, bent)
 
-    def _of_rim(self, bent):
+    def _of_rim(self, bent, most):
         """(D^2, its derivatives / 2) of a bristle in two directions and one of the spin, see `_touch_with_rim`."""
         across, turned = self.let(_dot(bent[:2], bent[:2])), self.let(_times(bent[2], bent[2]))
-        both = self.let(f"1 + {across} + {turned}")
-        parts = [self.let(f"1 - 0.5*{each}*(1 + {each})/{both}**2") for each in (turned, across)]
+        both = self.let(f"{most} + {across} + {turned}")
+        parts = [self.let(f"1 - 0.5*{each}*({most} + {each})/{both}**2") for each in (turned, across)]
         square = self.let(f"{across} + {turned} - 0.5*{across}*{turned}/{both}")
         return square, [self.let(_times(each, parts[k // 2])) for k, each in enumerate(bent)]
 
@@ -561,12 +569,12 @@ def _touch_with_rim(found, body, shape, end, axes, height):
 
     Its friction acts at their centre of pressure c, and as a couple: so it moves smoothly with a cylinder that stands,
     whose lowest point jumps around the rim. The third slip speed is that of the spin times l = r - c^2 / r, which is r
-    where all press evenly, 0 on one point. With w = (x, z), for slip and spin, the friction is -mu N min(1, D) grad D,
+    where all press evenly, 0 on one point. With w = (x, z), of slip and spin, the friction is -mu N min(1, D / n) D',
 
-        D^2 = x^2 + z^2 - x^2 z^2 / (2 (1 + x^2 + z^2))
+        D^2 = x^2 + z^2 - x^2 z^2 / (2 (n^2 + x^2 + z^2))
 
     It is that of a rim with even pressure if it slides or spins, or mostly; between, it is off by 0.11 mu N at most.
-    Where it sticks it is a gradient, so that it does no work on a loop.
+    Where it sticks it is a gradient D D', so that it does no work on a loop.
     """
     n, tangents = axes
     centre, speed, spin = found.place(body, end), found.rate(body, end), found.spin(body)
