@@ -456,7 +456,7 @@ class _Formulas:
             return []
         slips = [self.let(each) for each in slips]
         first = len(self._states)
-        bristle = [f"bristle{first + k}" for k in range(len(slips))]
+        bristle = [f"_bristle{first + k}" for k in range(len(slips))]
         bent = bristle
         if axes[1] is None:  # what the normal has turned away no longer counts
             along = self.let(_dot(axes[0], bristle))

@@ -656,9 +656,9 @@ def undefined_of(described, registers):
 
 
 def states_of(described):
-    """[(LAW.STATE, LawState)] of the continuous laws of a scene, in order."""
+    """[(LAW.STATE, LawState)] of the continuous laws of a scene, in order; hidden ones without the underline."""
     laws = [law for law in laws_of(described) if law.period is None]
-    return [(f"{law.name}.{name}", each) for law in laws for name, each in law.states.items()]
+    return [(f"{law.name}.{name.removeprefix('_')}", each) for law in laws for name, each in law.states.items()]
 
 
 class SampledLaw(NamedTuple):
