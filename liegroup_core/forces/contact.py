@@ -15,7 +15,7 @@ F stays in the cone. Within it the bristle is a spring of the stiffness mu load 
 body that moves along and presses in turn would gain energy, and one that stands would begin to vibrate. It yields by s
 under the load; nothing creeps at rest. It slips beyond, where |z|^2 goes to (1 + sqrt(2)) n^2: round-off does not take
 it back to the cone. Fixed steps need not resolve it while it slips: |z'| is bounded, and w has the direction of v if
-steps are below tau. This damping is critical for a mass that presses by its own weight: tau = 2 sqrt(s / (mu g)).
+steps are below tau. This damping is critical for a mass that stands on four points: tau = sqrt(s / (mu g)).
 It is written as formulas of a law (law.py), so touching, leaving, slip and stick are events of the methods with error
 control, and derivatives, snapshots, estimates and the reference integration are those of laws. A bristle keeps its
 place while nothing touches; that is at most 1.6 times the length s.
@@ -152,7 +152,7 @@ class Contact(Force):
         description="m: length by which friction yields under `load` until it slides; default: friction times `sinks`",
     )
     settles: NotNegative | None = Field(
-        None, description="s, damping of this: default: critical for a mass that presses by its own weight"
+        None, description="s, damping of this: default: critical for a mass on four points"
     )
 
     _given: Any = PrivateAttr(None)  # (shapes, load in N, gravity in m/s^2) of the scene
@@ -212,7 +212,7 @@ class Contact(Force):
         if self.friction:
             slip, settles = self.slip or self.friction * self.sinks, self.settles
             if settles is None:
-                settles = 2.0 * math.sqrt(slip / (self.friction * gravity)) if gravity else 0.0
+                settles = math.sqrt(slip / (self.friction * gravity)) if gravity else 0.0
             found |= {"friction": self.friction, "slip": slip, "settles": settles}
         return found
 

@@ -294,7 +294,7 @@ def block(friction, slip):
 
 def way_of_block(friction, speed, slip, times):
     """Ways of the block by its law on a line, phase by phase: elastic to z = 1, yielding to v = 0, back to w = 1."""
-    force, settles = friction * G, 2.0 * math.sqrt(slip / (friction * G))
+    force, settles = friction * G, math.sqrt(slip / (friction * G))
 
     def rates(yields, limit):
         def of(_, y):
