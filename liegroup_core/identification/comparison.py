@@ -62,7 +62,8 @@ class Comparison:
     alone    : [Effect], each alone, by share
     missing  : [Missing] efforts against the motion of each joint, by share; none where the log agrees
     numerics : [(p,)] largest estimated error of the integration by the noise, of each Measured
-    jointly  : probability of correlations as large of all outputs, if residuals are white noise
+    p_white  : probability of correlations as large, of any output or all together, if residuals are white noise; and
+               without those below the errors of the integration
     is_explained : whether effects explain what is more than noise
     """
 
@@ -74,7 +75,7 @@ class Comparison:
     missing: list[Missing]
     numerics: list
     horizons: list[Horizon]
-    jointly: float
+    p_white: tuple[float, float]
     is_explained: bool = True
 
     @property
@@ -99,13 +100,12 @@ class Comparison:
         log = self.fit.runs.log
         is_coloured = any(each.noise is not None for each in (*log.inputs, *log.drives))
         is_small = self.solution.converged and self.worst.chi <= self.worst.limit
-        return bool(is_small and (is_coloured or self.is_white))
+        return bool(is_small and (is_coloured or self.p_white[1] > 0.5 * WRONG))
 
     @cached_property
     def is_white(self):
         """Whether residuals of one run along each recording are white, by tests at WRONG for all together."""
-        least = min(channel.p_white for channel in self.channels) * len(self.channels)
-        return min(least, self.jointly) > 0.5 * WRONG
+        return self.p_white[0] > 0.5 * WRONG
 
     @property
     def horizon(self):
@@ -381,9 +381,12 @@ def judged(fit, near, solution):
     judge = Effects(fit, solution if is_in_reach(fit, solution) else tied_near)
     columns = [np.flatnonzero(np.isfinite(each.values).any(axis=0)) for each in fit.runs.log.measured]
     errors = numerics(fit, solution.point, solution.outputs)
-    jointly = min(white(fit, solution, t, own, errors) for t, own in enumerate(columns) if len(own)) * len(columns)
-    channels = channel_fits(fit, solution, errors)
-    found = Comparison(fit, solution, channels, [], [], [], errors, horizons(fit, near, solution), jointly)
+    channels, p_white = channel_fits(fit, solution, errors), []
+    for least in (None, errors):
+        each = [white(fit, solution, t, [p], least) for t, own in enumerate(columns) for p in own]
+        together = [white(fit, solution, t, own, least) for t, own in enumerate(columns) if len(own)]
+        p_white.append(min(min(each) * len(each), min(together) * len(columns)))
+    found = Comparison(fit, solution, channels, [], [], [], errors, horizons(fit, near, solution), tuple(p_white))
     effects, alone, missing, is_explained = judge.find(found.is_noise)
     # Angles are random, or residuals large: outputs may have another unit.
     far = scale(partial(_longest, fit.workers), fit) if found.without or found.worst.chi > STRANGE else None
