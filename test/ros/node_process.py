@@ -12,6 +12,7 @@ import math
 import os
 import re
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
@@ -47,16 +48,18 @@ LATCHED = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 def _free_domain():
-    """(ROS domain, lock file) that no other test run on this machine uses."""
+    """(ROS domain, lock file): no other test run on this machine uses it, and no ROS node is in it."""
     for k in range(100):
         number = 1 + (os.getpid() + k) % 100
         try:
             lock = open(Path(tempfile.gettempdir()) / f"liegroup_sim_ros_domain_{number}", "w")
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            with socket.socket(type=socket.SOCK_DGRAM) as first:
+                first.bind(("", 7410 + 250 * number))  # port of a domain's first participant, RTPS 2.5, 9.6.2.4
             return number, lock
         except OSError:  # taken; or the file of another user
             continue
-    raise RuntimeError("all ROS domains from 1 to 100 are used by other test runs")
+    raise RuntimeError("all ROS domains from 1 to 100 are used by other nodes")
 
 
 DOMAIN, _LOCK = _free_domain()
