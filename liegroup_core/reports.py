@@ -101,7 +101,7 @@ class Warnings:
         self._give_of_cost(engine)
         controlled = METHODS[engine.method].controlled  # then tolerances limit substeps, whatever they turn
         if not controlled and self._is_new("contact"):
-            for note in stiff_note(engine.scene.bodies, engine.scene.forces, engine.step):
+            for note in stiff_note(engine.scene.forces, engine.step):
                 log.warning("%s, step %g s is too long; %s", engine.method, engine.step, note)
         if not controlled and report[LARGEST_TURN] > LARGE_ROTATION**2 and self._is_new("turn"):
             turned = math.sqrt(report[LARGEST_TURN])
@@ -231,7 +231,7 @@ def reason(engine, status):
     if status & 0xFF in FAST:
         notes = [note for note in engine.scene.notes if note.startswith("stiff:")]
         if not METHODS[engine.method].controlled:
-            notes += stiff_note(engine.scene.bodies, engine.scene.forces, engine.step)
+            notes += stiff_note(engine.scene.forces, engine.step)
         text += "".join(f"; {note}" for note in notes)
     if status & 0xFF in FAST and engine.layout.lack_of_inertia:
         text += f"; or a degree of freedom has no inertia at this pose, because {engine.layout.lack_of_inertia}"

@@ -15,7 +15,9 @@ F stays in the cone. Within it the bristle is a spring of the stiffness mu load 
 body that moves along and presses in turn would gain energy, and one that stands would begin to vibrate. It yields by s
 under the load; nothing creeps at rest. It slips beyond, where |z|^2 goes to (1 + sqrt(2)) n^2: round-off does not take
 it back to the cone. Fixed steps need not resolve it while it slips: |z'| is bounded, and w has the direction of v if
-steps are below tau. This damping is critical for a mass that stands on four points: tau = sqrt(s / (mu g)).
+steps are below tau. By default this damping is critical for the body alone on four such springs: tau = sqrt(m / k).
+Two bodies have their reduced mass. With the mass of a whole robot, explicit steps for a light foot would be shorter by
+the square root of the ratio of both masses.
 It is written as formulas of a law (law.py), so touching, leaving, slip and stick are events of the methods with error
 control, and derivatives, snapshots, estimates and the reference integration are those of laws. A bristle keeps its
 place while nothing touches; that is at most 1.6 times the length s.
@@ -152,10 +154,10 @@ class Contact(Force):
         description="m: length by which friction yields under `load` until it slides; default: friction times `sinks`",
     )
     settles: NotNegative | None = Field(
-        None, description="s, damping of this: default: critical for a mass on four points"
+        None, description="s, damping of this: default: critical for the body on four points"
     )
 
-    _given: Any = PrivateAttr(None)  # (shapes, load in N, gravity in m/s^2) of the scene
+    _given: Any = PrivateAttr(None)  # (shapes, load in N, reduced mass in kg) of the scene
 
     @model_validator(mode="after")
     def _check(self):
@@ -195,7 +197,8 @@ class Contact(Force):
         load = self.load or sum(body.mass for body in bodies.values()) * gravity
         if self.sinks is not None and load == 0.0:
             raise SceneError("load is missing: without gravity give it, or stiffness", place=("load",))
-        self._given = shapes, load, gravity
+        mass = 1.0 / sum(1.0 / bodies[name].mass for name in self.on_bodies({}))
+        self._given = shapes, load, mass
 
     def _shape(self, bodies, key, name):
         shape = getattr(self, key) or bodies[name].shape
@@ -206,13 +209,13 @@ class Contact(Force):
     @property
     def numbers(self):
         """{name: number} of its law."""
-        _, load, gravity = self._given
+        _, load, mass = self._given
         found = {"stiffness": self.stiffness if self.sinks is None else load / self.sinks}
         found["damping"] = self.damping if self.restitution is None else damping_of(self.restitution, self.speed)
         if self.friction:
             slip, settles = self.slip or self.friction * self.sinks, self.settles
             if settles is None:
-                settles = math.sqrt(slip / (self.friction * gravity)) if gravity else 0.0
+                settles = math.sqrt(slip * mass / (self.friction * load))
             found |= {"friction": self.friction, "slip": slip, "settles": settles}
         return found
 
@@ -253,20 +256,20 @@ class Contact(Force):
         return found
 
 
-def stiffest(bodies, forces):
+def stiffest(forces):
     """(s, name) of the contact that acts within the shortest time, sqrt(mass / stiffness); (inf, ""): none."""
-    mass, found = {body.name: body.mass for body in bodies}, []
+    found = []
     for force in forces:
         if force.type == "contact":
-            least, numbers = min(mass[name] for name in force.on_bodies({})), force.numbers
-            along = numbers["friction"] * force._given[1] / numbers["slip"] if force.friction else 0.0  # of the bristle
-            found.append((math.sqrt(least / max(numbers["stiffness"], along)), force.name))
+            (_, load, mass), numbers = force._given, force.numbers
+            along = numbers["friction"] * load / numbers["slip"] if force.friction else 0.0  # of the bristle
+            found.append((math.sqrt(mass / max(numbers["stiffness"], along)), force.name))
     return min(found, default=(math.inf, ""))
 
 
-def stiff_note(bodies, forces, step):
+def stiff_note(forces, step):
     """Note on the contact that is stiffest for the mass of its bodies, if steps in s are too long for it; a list."""
-    time, name = stiffest(bodies, forces)
+    time, name = stiffest(forces)
     if step <= time:
         return []
     return [

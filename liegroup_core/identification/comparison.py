@@ -404,7 +404,7 @@ def _longest(workers, scene, log):
 def begin(scene, log, names=(), workers=None, limits=None, priors=None, is_late=True):
     """(Fit, Unknowns to begin with, without segments); arguments as of `fitted`. is_late: whether clocks may be."""
     log = log.usable
-    runs = Runs(scene, log, names, min(LONGEST, OF_CONTACT * stiffest(scene.bodies, scene.forces)[0]))
+    runs = Runs(scene, log, names, min(LONGEST, OF_CONTACT * stiffest(scene.forces)[0]))
     free = [each.delay is None for each in log.measured]
     fit = Fit(runs, [each.noise for each in log.measured], free, limits, priors, workers)
     length, values = shortest(log), np.clip(runs.numbers.values, *fit.limits.T)
