@@ -17,14 +17,12 @@ Cost counts evaluations of the accelerations, not time, so that a repeated run i
 import math
 
 from liegroup_core.errors import SimulationError
-from liegroup_core.methods.munthe_kaas.implicit import FREEDOMS_SQUARED
 from liegroup_core.methods.table import METHODS
 
 EXPLICIT, IMPLICIT = 0, 1  # numbers of the methods in the integrators
 STIFF = "radau5"
-# Evaluations in the first FIRST steps of the companion, above which both methods are tried at once. An attempted
-# substep takes twelve, so that a tenth as many attempts show it.
-DEAR, FIRST = 1000, 4
+# Evaluations in the first FIRST steps of the companion, above which both methods are tried at once.
+DEAR, FIRST = 1000.0, 4
 # Evaluations of the simulation per one of the companion, below which stability limits the explicit method.
 # If tolerances limit it, the ratio is about 1.5, as the companion rejects more, and if stability does, about 1.
 ALIKE = 1.25
@@ -32,8 +30,7 @@ ALIKE = 1.25
 # a trial: a substep more or less changes them by a twentieth.
 SEEN, TRIAL = 1000.0, 240.0
 WORTH, WAIT = 0.7, 16.0  # fraction of the present cost below which a change pays
-LEAST_COST = 6  # evaluations of the cheapest attempted substep, without its factorisations
-MOST_ATTEMPTS = 1000  # in a trial
+MOST = 12_000.0  # evaluations in a trial
 
 
 class MethodChoice:
@@ -88,7 +85,7 @@ class MethodChoice:
         if self._begun or not self._running.begun:
             return False
         self._begun = True
-        if self._cost(EXPLICIT, DEAR // 10, FIRST) > DEAR:
+        if self._cost(EXPLICIT, DEAR, FIRST) > DEAR:
             self._choose(FIRST)
         self._count()
         return True
@@ -106,44 +103,32 @@ class MethodChoice:
     def _choose(self, steps):
         """Try both methods for some steps from the present state on, and continue with the cheaper one."""
         before, chosen = self._spent[1], self._integrators[0].chosen
-        present = self._cost(chosen, MOST_ATTEMPTS, steps)
-        most = self._attempts(1 - chosen, present)
-        if most > 0:
-            other = self._cost(1 - chosen, most, steps)
-            if other < WORTH * present:
-                self._engine.choose(1 - chosen)
-                self._companion.choose(1 - chosen)
+        present = self._cost(chosen, MOST, steps)
+        if self._cost(1 - chosen, min(MOST, WORTH * present), steps) < WORTH * present:
+            self._engine.choose(1 - chosen)
+            self._companion.choose(1 - chosen)
         self._waiting = self._wait * (self._spent[1] - before)
         self._wait = min(WAIT, 2.0 * self._wait)
         self._continue()
 
-    def _attempts(self, number, present):
-        """Largest number of attempted substeps with which a method can cost less than the present one."""
-        matrix, attempt = 0, LEAST_COST
-        if number == IMPLICIT:
-            f = self._integrators[1].freedoms
-            matrix, attempt = 2 * f, LEAST_COST + f * f // FREEDOMS_SQUARED
-        saved = WORTH * present - matrix
-        return max(0, math.ceil(min(MOST_ATTEMPTS, saved / attempt)))
-
     def _cost(self, number, most, steps):
-        """Evaluations that steps of the companion take with a method, from at most `most` attempted substeps.
+        """Evaluations that steps of the companion take with a method, from the first `most` of them.
 
         inf if no substep is accepted, or the method fails.
         """
-        integrator, before = self._integrators[1], self._spent[1]
+        integrator, before, begun = self._integrators[1], self._spent[1], self._companion.steps
         chosen, passes, kept = integrator.chosen, integrator.passes, self._companion.snapshot()
         self._companion.inputs.freeze()  # a repeated run knows commands earlier
         integrator.passes = False
-        integrator.limit_attempts(most / steps)
         self._companion.choose(number)
+        integrator.limit_evaluations(most)
         try:
             self._companion.advance(steps)
             part = 1.0
         except SimulationError:
-            part = integrator.part
+            part = (self._companion.steps - begun + integrator.part) / steps
         finally:
-            integrator.limit_attempts()
+            integrator.limit_evaluations()
             integrator.passes = passes
             self._companion.restore(kept)
             self._companion.choose(chosen)

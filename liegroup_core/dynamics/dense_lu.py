@@ -7,12 +7,11 @@ from liegroup_core.compiling import kernel
 
 
 @kernel
-def lu_factorise(matrix, pivots):
-    """Replace matrix (n, n) by its LU factors; returns False if it is singular.
+def lu_factorise(matrix, pivots, size):
+    """Replace the first `size` rows and columns of a matrix by their LU factors; returns False if it is singular.
 
-    pivots : (n,) int64; row exchanged with row k
+    pivots : (size,) int64 or longer; row exchanged with row k
     """
-    size = len(pivots)
     for k in range(size):
         best = k
         for r in range(k + 1, size):
@@ -34,9 +33,8 @@ def lu_factorise(matrix, pivots):
 
 
 @kernel
-def lu_solve(matrix, pivots, x):
-    """Replace the right-hand side x (n,) by the solution, with the factors of `lu_factorise`."""
-    size = len(pivots)
+def lu_solve(matrix, pivots, size, x):
+    """Replace the right-hand side x (size,) by the solution, with the factors of `lu_factorise`."""
     for k in range(size):
         x[k], x[pivots[k]] = x[pivots[k]], x[k]
     for k in range(size):
@@ -49,12 +47,11 @@ def lu_solve(matrix, pivots, x):
 
 
 @kernel
-def complex_lu_factorise(real, imag, pivots):
+def complex_lu_factorise(real, imag, pivots, size):
     """`lu_factorise` of real + i imag, in two arrays whose rows the processor handles in parallel.
 
     Complex division is written out, since that of compilers and of Python rounds differently.
     """
-    size = len(pivots)
     for k in range(size):
         best, largest = k, 0.0
         for r in range(k, size):
@@ -81,9 +78,8 @@ def complex_lu_factorise(real, imag, pivots):
 
 
 @kernel
-def complex_lu_solve(real, imag, pivots, x, y):
+def complex_lu_solve(real, imag, pivots, size, x, y):
     """As `lu_solve`, for the right-hand side x + i y, with the factors of `complex_lu_factorise`."""
-    size = len(pivots)
     for k in range(size):
         other = pivots[k]
         x[k], x[other] = x[other], x[k]

@@ -107,7 +107,7 @@ def factorise_shares(model, work):
         work.shares[j, SIZE] = 0.0
         for i in range(len(work.shares)):
             work.shares[j, SIZE] += abs(work.share_matrix[j, i])
-    return lu_factorise(work.share_matrix, work.share_pivots)
+    return lu_factorise(work.share_matrix, work.share_pivots, len(work.shares))
 
 
 @kernel
@@ -115,7 +115,7 @@ def improve_shares(model, work):
     """Newton's step from the present rates."""
     for j in range(len(work.shares)):
         work.surface_rates[j] = -work.surface_rates[j] if slides(model, work, j) else 0.0
-    lu_solve(work.share_matrix, work.share_pivots, work.surface_rates)
+    lu_solve(work.share_matrix, work.share_pivots, len(work.shares), work.surface_rates)
     for j in range(len(work.shares)):
         if slides(model, work, j):
             add_share(model, work, j, work.surface_rates[j])

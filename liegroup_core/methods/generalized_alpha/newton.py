@@ -44,7 +44,7 @@ def _differentiate(model, work, memory, numbers, h, pose, external):
             return status
         for r in range(len(memory.x)):
             memory.matrix[r, c] = (memory.residual[r] - memory.base[r]) / change
-    if not lu_factorise(memory.matrix, memory.pivots):
+    if not lu_factorise(memory.matrix, memory.pivots, len(memory.x)):
         memory.factored[0] = 0.0
         return NOT_CONVERGED
     memory.factored[0] = 1.0
@@ -57,7 +57,7 @@ def _correct(memory, numbers, h):
 
     returns the largest displacement of a pose that it causes, rad or m
     """
-    lu_solve(memory.matrix, memory.pivots, memory.next)
+    lu_solve(memory.matrix, memory.pivots, len(memory.x), memory.next)
     largest = 0.0
     for k in range(len(memory.rate)):
         # NaN propagates.

@@ -174,7 +174,7 @@ def advance_controlled(model, work, scheme, h, steps, pose_in, twist_in, externa
             if status == OK:
                 first = 1
             status, accepted = judge(model, work, scheme, size, status, twist, control)
-            if status == OK and attempts >= control.most[0] and not (accepted and count == 1):
+            if status == OK and _is_dear(scheme, control, attempts, 1) and not (accepted and count == 1):
                 status = TOO_MANY_SUBSTEPS
             if status != OK or not accepted:
                 continue
@@ -215,6 +215,12 @@ def _restore(work, pose, twist, control):
     copy_state(work.start_pose, work.start_twist, pose, twist)
     set_turns(work, work.start_angle, work.start_coordinates)
     control.size[0] = control.kept_size[0]
+
+
+@kernel
+def _is_dear(scheme, control, attempts, steps):
+    """Whether attempts in some steps are too many, or all evaluations."""
+    return attempts >= control.most[0] * steps or scheme.spent[0] >= control.dear[0]
 
 
 @kernel
@@ -310,7 +316,7 @@ def _go_ahead(model, work, scheme, steps, pose, twist, external, control):
                 keep_lead(work, control)
         status, accepted = judge(model, work, scheme, size, status, twist, control)
         # A halt sets the number of attempts from another thread.
-        if status == OK and attempts >= control.most[0] * steps and not (accepted and size >= remaining):
+        if status == OK and _is_dear(scheme, control, attempts, steps) and not (accepted and size >= remaining):
             status = TOO_MANY_SUBSTEPS
         if status != OK or not accepted:
             continue

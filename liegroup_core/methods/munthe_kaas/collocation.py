@@ -24,7 +24,8 @@ class Collocation(Struct):
     initial: np.ndarray  # (f, 2) F at the start
     stiffness: np.ndarray  # (f, f) Q
     damping: np.ndarray  # (f, f) D
-    factors: np.ndarray  # (f, f)
+    coupled: np.ndarray  # (1 + f,) int64 number of freedoms on which an acceleration depends, and these
+    factors: np.ndarray  # (f, f) of these, in its first rows and columns
     pivots: np.ndarray  # (f,)
     x: np.ndarray  # (f,)
     real_factors: np.ndarray  # (f, f) of the complex system, real and imaginary parts
@@ -32,6 +33,8 @@ class Collocation(Struct):
     pair_pivots: np.ndarray  # (f,)
     real_x: np.ndarray  # (f,)
     imag_x: np.ndarray
+    packed: np.ndarray  # (f,) of the coupled freedoms
+    imag_packed: np.ndarray  # (f,)
     residual: np.ndarray  # (3, f, 2)
     next: np.ndarray  # (f, 2) solution
 
@@ -47,7 +50,7 @@ def no_collocation():
     sizes |= {"inverse": 2, "real": 2, "pair": 2, "initial": 2, "next": 2}
     sizes |= {"z": 3, "slopes": 3, "residual": 3}
     arrays = {
-        name: np.zeros((0,) * sizes.get(name, 1), dtype=np.int64 if "pivots" in name else float)
+        name: np.zeros((0,) * sizes.get(name, 1), dtype=np.int64 if "pivots" in name or name == "coupled" else float)
         for name in Collocation.__annotations__
         if name != "real_value"
     }
@@ -85,6 +88,7 @@ def make_collocation(tableau, freedoms):
         initial=np.zeros((f, 2)),
         stiffness=np.zeros((f, f)),
         damping=np.zeros((f, f)),
+        coupled=np.zeros(1 + f, dtype=np.int64),
         factors=np.zeros((f, f)),
         pivots=np.zeros(f, dtype=np.int64),
         x=np.zeros(f),
@@ -93,6 +97,8 @@ def make_collocation(tableau, freedoms):
         pair_pivots=np.zeros(f, dtype=np.int64),
         real_x=np.zeros(f),
         imag_x=np.zeros(f),
+        packed=np.zeros(f),
+        imag_packed=np.zeros(f),
         residual=np.zeros((STAGES, f, 2)),
         next=np.zeros((f, 2)),
     )

@@ -17,6 +17,7 @@ class SubstepControl(Record):
     atol: np.ndarray = shaped(1)  # rad, m, rad/s, m/s
     longest: np.ndarray = shaped(1)  # substep, s
     most: np.ndarray = shaped(1)  # attempts in a step
+    dear: np.ndarray = shaped(1)  # number of evaluations, of all steps, at which a trial ends
     length: np.ndarray = shaped(1)  # m, factor of atol for positions
     rounded: np.ndarray = shaped(1)  # round-off of a pose
     # After too many attempts, their fraction of those of the whole step, if its rest takes equal substeps.

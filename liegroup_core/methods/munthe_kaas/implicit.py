@@ -123,22 +123,82 @@ def _differentiate(scheme, model, work, time, pose, external):
 
 
 @kernel
+def _find_coupled(newton):
+    """Find the freedoms on which an acceleration depends: not the bristles of points that touch nothing."""
+    coupled, f = newton.coupled, len(newton.initial)
+    coupled[0] = 0
+    for p in range(f):
+        for r in range(f):
+            if newton.stiffness[r, p] != 0.0 or newton.damping[r, p] != 0.0:
+                coupled[0] += 1
+                coupled[coupled[0]] = p
+                break
+
+
+@kernel
 def _factorise(newton, h):
-    """Factorise the real and the complex matrix for a substep of size h; False: one is singular."""
-    f, mu = len(newton.initial), newton.real_value / h
+    """Factorise the real and the complex matrix for a substep of size h; False: one is singular.
+
+    The other freedoms follow from the coupled ones, as a column of theirs is zero but for the diagonal.
+    """
+    n, mu = newton.coupled[0], newton.real_value / h
     a, b = newton.pair_value[0] / h, newton.pair_value[1] / h
-    for r in range(f):
-        for c in range(f):
+    for i in range(n):
+        r = newton.coupled[1 + i]
+        for j in range(n):
+            c = newton.coupled[1 + j]
             q, d = newton.stiffness[r, c], newton.damping[r, c]
-            newton.factors[r, c] = -mu * d - q
-            newton.real_factors[r, c] = -a * d - q
-            newton.imag_factors[r, c] = -b * d
-        newton.factors[r, r] += mu * mu
-        newton.real_factors[r, r] += a * a - b * b
-        newton.imag_factors[r, r] += 2.0 * a * b
-    if not lu_factorise(newton.factors, newton.pivots):
+            newton.factors[i, j] = -mu * d - q
+            newton.real_factors[i, j] = -a * d - q
+            newton.imag_factors[i, j] = -b * d
+        newton.factors[i, i] += mu * mu
+        newton.real_factors[i, i] += a * a - b * b
+        newton.imag_factors[i, i] += 2.0 * a * b
+    if not lu_factorise(newton.factors, newton.pivots, n):
         return False
-    return complex_lu_factorise(newton.real_factors, newton.imag_factors, newton.pair_pivots)
+    return complex_lu_factorise(newton.real_factors, newton.imag_factors, newton.pair_pivots, n)
+
+
+@kernel
+def _solve_real(newton, h):
+    """Replace x by the solution of the real system."""
+    n, mu, packed, x = newton.coupled[0], newton.real_value / h, newton.packed, newton.x
+    for i in range(n):
+        packed[i] = x[newton.coupled[1 + i]]
+    lu_solve(newton.factors, newton.pivots, n, packed)
+    if n < len(x):
+        for r in range(len(x)):
+            for i in range(n):
+                c = newton.coupled[1 + i]
+                x[r] += (mu * newton.damping[r, c] + newton.stiffness[r, c]) * packed[i]
+            x[r] /= mu * mu
+    for i in range(n):
+        x[newton.coupled[1 + i]] = packed[i]
+
+
+@kernel
+def _solve_pair(newton, h):
+    """Replace real_x + i imag_x by the solution of the complex system."""
+    n, a, b = newton.coupled[0], newton.pair_value[0] / h, newton.pair_value[1] / h
+    u, v, x, y = newton.packed, newton.imag_packed, newton.real_x, newton.imag_x
+    for i in range(n):
+        r = newton.coupled[1 + i]
+        u[i], v[i] = x[r], y[r]
+    complex_lu_solve(newton.real_factors, newton.imag_factors, newton.pair_pivots, n, u, v)
+    if n < len(x):
+        real, imag = a * a - b * b, 2.0 * a * b
+        square = real * real + imag * imag
+        for r in range(len(x)):
+            one, two = x[r], y[r]
+            for i in range(n):
+                c = newton.coupled[1 + i]
+                q, d = a * newton.damping[r, c] + newton.stiffness[r, c], b * newton.damping[r, c]
+                one += q * u[i] - d * v[i]
+                two += q * v[i] + d * u[i]
+            x[r], y[r] = (one * real + two * imag) / square, (two * real - one * imag) / square
+    for i in range(n):
+        r = newton.coupled[1 + i]
+        x[r], y[r] = u[i], v[i]
 
 
 @kernel
@@ -159,14 +219,15 @@ def _correct(newton, h):
         right, right_a, right_b = 0.0, 0.0, 0.0
         for j in range(STAGES):
             one, two = newton.residual[j, r, 0], newton.residual[j, r, 1]
-            for p in range(f):
+            for i in range(newton.coupled[0]):
+                p = newton.coupled[1 + i]
                 two -= newton.damping[r, p] * newton.residual[j, p, 0]
             right += real[j, 0] * (two + mu * one)
             right_a += pair[j, 0] * (two + a * one) - pair[j, 1] * b * one
             right_b += pair[j, 1] * (two + a * one) + pair[j, 0] * b * one
         newton.x[r], newton.real_x[r], newton.imag_x[r] = right, right_a, right_b
-    lu_solve(newton.factors, newton.pivots, newton.x)
-    complex_lu_solve(newton.real_factors, newton.imag_factors, newton.pair_pivots, newton.real_x, newton.imag_x)
+    _solve_real(newton, h)
+    _solve_pair(newton, h)
     largest = 0.0
     for p in range(f):
         one, one_a, one_b = 0.0, 0.0, 0.0
@@ -230,10 +291,11 @@ def _estimate(newton, h):
             newton.next[p, c] = total
     for r in range(f):
         right = newton.next[r, 1] + real * newton.next[r, 0]
-        for p in range(f):
+        for i in range(newton.coupled[0]):
+            p = newton.coupled[1 + i]
             right -= newton.damping[r, p] * newton.next[p, 0]
         newton.x[r] = right
-    lu_solve(newton.factors, newton.pivots, newton.x)
+    _solve_real(newton, h)
     for p in range(f):
         newton.next[p, 1] = real * newton.x[p] - newton.next[p, 0]
         newton.next[p, 0] = newton.x[p]
@@ -298,9 +360,9 @@ def substep(scheme, model, work, size, start, elapsed, first, pose_in, external_
                 break
         newton.known[0] = 1.0
         status = NOT_CONVERGED
+        _find_coupled(newton)
         # an integer, so that sums are exact and repeated runs identical
-        f = len(newton.initial)
-        scheme.spent[0] += f * f // FREEDOMS_SQUARED
+        scheme.spent[0] += newton.coupled[0] * newton.coupled[0] // FREEDOMS_SQUARED
         if _factorise(newton, size):
             status = _solve(scheme, model, work, size, begin, pose, external)
         if status != NOT_CONVERGED or fresh:

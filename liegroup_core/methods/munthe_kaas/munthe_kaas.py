@@ -59,7 +59,7 @@ class MuntheKaas:
         self._model, self._work, self.work = model_and_work(layout, group, options, stages, locates)
         self._blocks = stages + 1 + FURTHER
         self._control = SubstepControl.make()
-        self._control.most[0], self._control.length[0] = MOST_SUBSTEPS, 1.0
+        self._control.most[0], self._control.dear[0], self._control.length[0] = MOST_SUBSTEPS, math.inf, 1.0
         self._tolerances = options.get("rtol", 0.0), options.get("atol", 1.0)
         self._lead = Lead(self._work, self._control)
         self._methods, self._chosen, self._part = [], np.zeros(1), 1.0
@@ -83,7 +83,7 @@ class MuntheKaas:
 
     @property
     def freedoms(self):
-        """Number of freedoms of the joints, or of the bodies."""
+        """Number of freedoms of the joints, or of the bodies, and states of laws."""
         return self._work.slopes.size // (2 * self._blocks)
 
     def restart(self):
@@ -187,6 +187,11 @@ class MuntheKaas:
     def limit_attempts(self, most=MOST_SUBSTEPS):
         """Set the largest number of attempted substeps in a step."""
         self._control.most[0], self._control.part[0] = most, 0.0
+
+    def limit_evaluations(self, most=math.inf):
+        """Set the largest number of further evaluations with the present method, after which a step fails."""
+        self._control.dear[0] = most + self._methods[self.chosen][0].spent[0]
+        self._control.part[0] = 0.0
 
     @property
     def part(self):
