@@ -122,8 +122,8 @@ class Laws(Struct):
     closing: np.ndarray  # (c,) of CLOSING
     results: np.ndarray  # (r,) registers of outputs and of rates of states, of all continuous laws
     signals: np.ndarray  # (w,) registers of their signals; 0: not computed at any time
-    # (s, 3) registers of the value and of the rate of each state; of the condition under which anything reads it, or
-    # -1: at any time, -2: never
+    # (s, 2 + p) registers of the value and of the rate of each state; of the conditions under which anything reads it,
+    # the outer one first, then -1
     states: np.ndarray
     held: np.ndarray  # (h,) registers of the numbers of sampled laws, which follow the unwrapped angles, or -1
     first: int  # number of unwrapped angles
@@ -506,7 +506,7 @@ class _Program(NamedTuple):
 
     code, shown, kinks : see Laws
     times   : [s] that are compared with the time, in order
-    always  : registers of the results that are computed at any time, see skipping.py
+    always  : registers of the results that are computed at any time, see skipping.py;  zero : register of the number 0
     read    : {register that others in `code` read: conditions of all blocks around those};  inputs : read by `shown`
     owners  : [name] of the law of each kink
     compared, surfaces : numbers of the kinks that are comparisons, and of those along which a motion can slide
@@ -525,6 +525,7 @@ class _Program(NamedTuple):
     surfaces: list
     times: list
     always: set
+    zero: int
     read: dict
     inputs: set
 
@@ -573,6 +574,7 @@ def _compile_all(described):
             [k for k in compared if owners[kinks[k][0]] in sliding],
             _times(program, (kinks[k][0] for k in compared)),
             {row[1] for row, i, flag in rows if i >= 0 and flag < 0},
+            zero,
             read,
             read_by_all.keys(),
         )
@@ -741,8 +743,8 @@ def make_laws(described, index, ends, angles, slides, first, sensors=()):
     for number, (law, compiled) in enumerate(zip(program.laws, program.compiled)):
         inputs = reads[law.period is not None]
         if law.period is None:
-            reads_state = [(*program.read[at], -1)[0] if at in program.read else -2 for at in compiled.states.values()]
-            states += zip(compiled.states.values(), compiled.rates, reads_state)
+            paths = [program.read.get(at, (program.zero,)) for at in compiled.states.values()]
+            states += zip(compiled.states.values(), compiled.rates, paths)
             results += [*chain(*compiled.outputs), *compiled.rates]
             shown += [at if at in program.always else 0 for at in compiled.signals.values()]
         else:
@@ -771,6 +773,8 @@ def make_laws(described, index, ends, angles, slides, first, sensors=()):
         for law, compiled in zip(program.laws, program.compiled)
         for depth, bodies, reach, size in law._closing
     ]
+    deepest = max((len(path) for *_, path in states), default=0)
+    states = [(*own, *path, *[-1] * (deepest - len(path))) for *own, path in states]
     begins, points = table_arrays(program.tables)
     registers = np.zeros((len(all_registers), 2))
     registers[:, 0] = all_registers
@@ -791,7 +795,7 @@ def make_laws(described, index, ends, angles, slides, first, sensors=()):
         closing=np.array(closing, dtype=CLOSING),
         results=np.array(results, dtype=np.int64),
         signals=np.array(shown, dtype=np.int64),
-        states=np.array(states, dtype=np.int64).reshape(-1, 3),
+        states=np.array(states, dtype=np.int64).reshape(-1, 2 + deepest),
         held=np.array(held, dtype=np.int64),
         first=first,
         sampled_inputs=sampled_inputs,
@@ -813,8 +817,11 @@ def places_of_branches(laws):
 @kernel
 def state_matters(laws, registers, s):
     """Whether anything depends on state s, at computed registers."""
-    under = laws.states[s, 2]
-    return under == -1 or under >= 0 and registers[under, 0] != 0.0
+    for k in range(2, laws.states.shape[1]):  # a register in a block that is skipped keeps an old number
+        under = laws.states[s, k]
+        if under >= 0 and registers[under, 0] == 0.0:
+            return False
+    return True
 
 
 @kernel

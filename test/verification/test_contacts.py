@@ -12,6 +12,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from liegroup_core import SceneError, Simulation
+from liegroup_core.engine import Engine
 from liegroup_core.forces.contact import SHORT
 from liegroup_core.lie.groups import SO3
 from liegroup_core.linear import linearise, modes_of, sensitivities
@@ -813,3 +814,18 @@ def test_boxes_do_not_touch_each_other():
     bodies = [f"{{name: {name}, shape: {{type: box, size: [1, 1, 1], mass: 1}}}}" for name in "ab"]
     with pytest.raises(SceneError, match="a box can touch a plane or a round body"):
         scene(bodies, ["name: c, body: a, other: b, stiffness: 1, damping: 1"])
+
+
+def test_points_that_touch_nothing_cost_an_implicit_method_no_evaluation():
+    """Its derivatives and its equations leave out what nothing depends on: a stumbling block with 48 more points."""
+    feet, found = list(product((-0.1, 0.1), (-0.1, 0.1), (-0.05,))), []
+    above = [(0.09 * math.cos(k), 0.09 * math.sin(k), 0.05) for k in range(48)]
+    block = "{name: block, mass: 2, inertia: [0.01, 0.01, 0.015], position: [0, 0, 0.05], linear_velocity: [0.1, 0, 0]}"
+    for points in (feet, feet + above):
+        keys = "name: floor, body: block, sinks: 1e-3, restitution: 0.5, friction: 0.5, settles: 0.1"
+        made = scene([block], [f"{keys}, shape: {{type: hull, points: {list(map(list, points))}}}"])
+        engine = Engine(made, "radau5", 0.01, rtol=1e-6, atol=1e-6)
+        engine.advance(50)
+        found.append((engine._integrator.evaluations, engine.sample().pose))
+    assert found[0][0] == found[1][0]
+    assert_allclose(found[0][1], found[1][1], rtol=0.0, atol=1e-12)
