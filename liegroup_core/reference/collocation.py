@@ -3,8 +3,9 @@
 
 A step finds the polynomial that satisfies the equations at the nodes. Its coefficients decay, and the last one
 is the estimate of the error inside the step; at the end of the step the error is smaller by many orders. A force that
-changes its law before the first node shows in the derivative at the start, which is no node. The polynomial is also
-the motion between the ends of steps.
+changes its law before the first node shows in the derivative at the start, which is no node. One that changes it, and
+back, between two nodes shows nowhere: so the derivative is compared between all changes of comparisons, too. The
+polynomial is also the motion between the ends of steps.
 
 Stages are found by iteration, or by Newton's method where the step is long against the fastest decay or vibration:
 Hairer and Wanner, Solving Ordinary Differential Equations II, sections IV.5 and IV.8.
@@ -23,6 +24,7 @@ CLOSE = 1e-12  # a correction that no longer decreases must be smaller
 KEEP = 1.25  # Newton's method keeps the step, and so its matrices, unless the step may grow by more
 AGE = 20  # steps with the same Jacobian
 MOST_ATTEMPTS = 100  # of one step
+SHORTER = 0.05  # least part of a step that is taken again up to a change that no node has seen
 
 
 def _tableau():
@@ -116,7 +118,7 @@ class CollocationSteps:
             if error > self._tolerance:
                 step *= max(min(factor, 0.8), 0.2)
                 continue
-            part = self.surfaces.part(self.sides, self.heights)
+            part = min(self.surfaces.part(self.sides, self.heights), self._seen(step, scale, polynomial))
             if part < 1.0:
                 step *= part
                 continue
@@ -136,6 +138,20 @@ class CollocationSteps:
             )
             return True
         return False
+
+    def _seen(self, step, scale, polynomial):
+        """Part of a step up to which the nodes have seen all changes of comparisons that matter; 1: all of it."""
+        ends, sides = self.surfaces.between(self.sides, self.heights)
+        if not len(sides):
+            return 1.0
+        middle = 0.5 * (ends[1:] + ends[:-1])
+        slopes = np.empty((len(middle), len(scale)))
+        x = 2.0 * middle - 1.0
+        states = np.ascontiguousarray(self.state + legendre.legval(x, polynomial).T)
+        self.function(self.time + middle * step, states, slopes, sides)
+        away = step * slopes - 2.0 * legendre.legval(x, legendre.legder(polynomial)).T
+        unseen = np.flatnonzero(np.abs(away / scale).max(axis=1) * np.diff(ends) > self._tolerance)
+        return max(SHORTER, ends[unseen[0]]) if len(unseen) else 1.0
 
     def _accept(self, step, increment, polynomial, end):
         self._before, self._begin, self._polynomial, self.step = self.state, self.time, polynomial, step

@@ -31,6 +31,7 @@ class Surfaces:
         self.sides, self.slides, self.heights = np.full(count, FREE), np.zeros(count, bool), np.zeros(count)
         self._inverse, self._idle, self._leaves, self._noise = np.linalg.inv(matrix), 0, None, 0.0
         self._polynomial = np.linalg.inv(legendre.legvander(2.0 * nodes - 1.0, len(nodes) - 1))
+        self._values = legendre.legvander(2.0 * GRID - 1.0, len(nodes) - 1)
 
     def _climb(self, function, time, state, scale, sides):
         """(r, N) slopes of a state, heights (r, c) and their rates, with sides (r, c)."""
@@ -83,6 +84,22 @@ class Surfaces:
         if (self._above(heights) < -2.0 * np.abs(self.heights) - self._least)[:, self._held].any():
             part = min(part, 0.25)
         return part
+
+    def between(self, sides, heights):
+        """(parts (p,) of a step at which its arguments change the side of a comparison, sides (p - 1, c) between them).
+
+        By the polynomials through the heights at the nodes.
+        """
+        free = (self.sides == FREE) & (np.abs(heights).max(axis=0) > self._least)
+        values = self._values @ (self._polynomial @ heights[:, free])
+        i, k = np.nonzero(values[1:] * values[:-1] < 0.0)
+        before, after = values[i, k], values[i + 1, k]
+        parts = np.sort(GRID[i] + before / (before - after) * np.diff(GRID)[i])
+        found = np.tile(self.sides, (max(len(parts) - 1, 0), 1))
+        if self.slides.any():
+            x = parts[1:] + parts[:-1] - 1.0
+            found[:, self.slides] = legendre.legval(x, self._polynomial @ sides[:, self.slides]).T
+        return parts, found
 
     @property
     def _held(self):
