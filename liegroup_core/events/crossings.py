@@ -37,7 +37,7 @@ from liegroup_core.forces.law import branch_matters, branch_of, distances_in, is
 from liegroup_core.lie.vec3 import dot3, load3, load9, matvec3, sub3
 from liegroup_core.mechanism.arrays import COORDINATE, NODES, RESTS, SIDE, SLIP
 
-NONE = -1.0  # in Work.crossed: the guard is not crossed
+NONE, IDLE = -1.0, -2.0  # in Work.crossed: the guard is not crossed; without effect at the end of the step
 CALM, CROSSED, AGAIN = 0, 1, 2  # results of `crossed`
 START, END = 0, 1  # rows of Work.course of the first stage and of the end
 APART = 0.125  # fraction of a step; a stage that is closer to a chosen one is omitted
@@ -356,16 +356,21 @@ def crossed(model, work, h, weights):
             if not way < 0.0:
                 place, way = _gives_way(weights, work.course, row, c, start)
             if place != NONE and not _matters(model, work, k, c, way, h):
-                if place == 1.0:
-                    again, laws = True, model.space.forces.laws
+                again = again or place == 1.0
+                place = IDLE if place == 1.0 else NONE
+            places[row, c] = place
+            found = found or place >= 0.0
+    for row in range(len(model.switches), len(work.crossed) if again else 0):
+        for c in range(LEAST, MOST + 1):
+            if work.crossed[row, c] == IDLE:
+                work.crossed[row, c] = NONE
+                if not found:  # else it may matter up to what was found
+                    k, laws = row - len(model.switches), model.space.forces.laws
                     if is_shared(laws, work.branches[k], k):
                         work.branches[k] = next_branch(laws, work.branches[k], k, c == MOST)
                     else:
                         work.branches[k] = OPEN
-                place = NONE
-            places[row, c] = place
-            found = found or place != NONE
-    if again:
+    if again and not found:
         return AGAIN
     for k in range(len(work.branches)):
         if work.branches[k] == OPEN:
