@@ -4,7 +4,7 @@
 A step finds the polynomial that satisfies the equations at the nodes. Its coefficients decay, and the last one
 is the estimate of the error inside the step; at the end of the step the error is smaller by many orders. A force that
 changes its law before the first node shows in the derivative at the start, which is no node. One that changes it, and
-back, between two nodes shows nowhere: so the derivative is compared between all changes of comparisons, too. The
+back, between two nodes shows nowhere: so the derivative is compared where comparisons change, and between, too. The
 polynomial is also the motion between the ends of steps.
 
 Stages are found by iteration, or by Newton's method where the step is long against the fastest decay or vibration:
@@ -40,6 +40,7 @@ def _tableau():
 
 
 NODES, MATRIX, COEFFICIENTS = _tableau()
+GAPS = np.diff(NODES, prepend=0.0)  # part of the step up to each node
 # Derivative of the polynomial at 0, times the part of the step before the first node.
 _START = NODES[0] * np.array([(-1.0) ** (k + 1) * k * (k + 1) for k in range(STAGES + 1)])
 _VALUES, _VECTORS = np.linalg.eig(MATRIX)
@@ -141,17 +142,22 @@ class CollocationSteps:
 
     def _seen(self, step, scale, polynomial):
         """Part of a step up to which the nodes have seen all changes of comparisons that matter; 1: all of it."""
-        ends, sides = self.surfaces.between(self.sides, self.heights)
-        if not len(sides):
+        changes = self.surfaces.changes(self.heights)
+        if not len(changes):
             return 1.0
-        middle = 0.5 * (ends[1:] + ends[:-1])
-        slopes = np.empty((len(middle), len(scale)))
-        x = 2.0 * middle - 1.0
+        points, width = np.repeat(changes, 2)[:-1], np.zeros(2 * len(changes) - 1)
+        points[1::2], width[1::2] = 0.5 * (changes[1:] + changes[:-1]), np.diff(changes)
+        x, slopes = 2.0 * points - 1.0, np.empty((len(points), len(scale)))
         states = np.ascontiguousarray(self.state + legendre.legval(x, polynomial).T)
-        self.function(self.time + middle * step, states, slopes, sides)
+        heights = self.function(self.time + points * step, states, slopes, self.surfaces.sides_at(x, self.sides))
+        after = np.searchsorted(NODES, points).clip(1)
+        dips = (np.sign(self.heights[after - 1]) * np.sign(self.heights[after]) > 0.0) & (
+            self.heights[after] * heights < 0.0
+        )
+        width = np.where(dips.any(axis=1), GAPS[after], width)
         away = step * slopes - 2.0 * legendre.legval(x, legendre.legder(polynomial)).T
-        unseen = np.flatnonzero(np.abs(away / scale).max(axis=1) * np.diff(ends) > self._tolerance)
-        return max(SHORTER, ends[unseen[0]]) if len(unseen) else 1.0
+        unseen = np.flatnonzero(np.abs(away / scale).max(axis=1) * width > self._tolerance)
+        return max(SHORTER, points[unseen[0]]) if len(unseen) else 1.0
 
     def _accept(self, step, increment, polynomial, end):
         self._before, self._begin, self._polynomial, self.step = self.state, self.time, polynomial, step

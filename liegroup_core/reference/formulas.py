@@ -2,9 +2,10 @@
 """Formulas of laws for the reference integration: Python's syntax tree in postfix order, for a stack machine.
 
 The scene has been checked, so no formula is wrong here. It shares nothing with forces/formulas.py. An instruction is
-(operation, argument): LOAD and STORE have the number of a value, PUSH that of a number, TABLE that of a table, and < <=
-> >= 1 plus that of their surface a = b, negative with b and a exchanged. The others replace their operands on top of
-the stack by their result; a condition is 1 or 0, or a share between them where the motion slides along a surface.
+(operation, argument): LOAD and STORE have the number of a value, PUSH that of a number, TABLE that of a table; < <= >
+>= min max abs have 1 plus that of their surface a = b, negative with b and a exchanged. The others replace their
+operands on top of the stack by their result; a condition is 1 or 0, or a share between them where the motion slides
+along a surface.
 """
 
 import ast
@@ -26,7 +27,7 @@ class Postfix:
     """Instructions of formulas, one after another.
 
     code : [(operation, argument)];  numbers : [float];  tables : [(x, y)];  deepest : largest size of the stack
-    surfaces : {operands a, b: number}
+    surfaces : {operands a, b, or place in the code: number}
     """
 
     def __init__(self):
@@ -69,6 +70,11 @@ class Postfix:
             keys.append(f"{ast.unparse(node)} {known}")
         number = 1 + self.surfaces.setdefault(tuple(sorted(keys)), len(self.surfaces))
         return number if keys == sorted(keys) else -number
+
+    def _kink(self, operation, takes):
+        """Append min, max or abs."""
+        self.surfaces[len(self.code)] = number = len(self.surfaces)
+        self._do(operation, 1 + number, takes)
 
     def _do(self, operation, argument, takes, gives=1):
         self.code.append((operation, argument))
@@ -125,11 +131,19 @@ class Postfix:
     def _call(self, name, arguments):
         if name == "clip":
             value, low, high = arguments
-            self._apply(_BINARY["max"], value, low)
+            self._call("max", [value, low])
             self._walk(high)
-            self._do(_BINARY["min"], 0, 2)
+            self._kink(_BINARY["min"], 2)
+        elif name in ("min", "max"):
+            self._walk(arguments[0])
+            for other in arguments[1:]:
+                self._walk(other)
+                self._kink(_BINARY[name], 2)
         elif name in _BINARY:
             self._apply(_BINARY[name], *arguments)
+        elif name == "abs":
+            self._walk(arguments[0])
+            self._kink(_UNARY[name], 1)
         else:
             self._walk(arguments[0])
             known = name in _UNARY
@@ -210,6 +224,8 @@ def evaluate(code, numbers, first, points, stack, values, sides, heights):
             elif share != 1.0:
                 stack[top] = share * stack[top] + (1.0 - share) * stack[top + 1]
         elif operation < 30:
+            if operation == 22:
+                heights[argument - 1] = stack[top]
             stack[top] = _unary(operation, stack[top])
         else:
             top -= 1
@@ -217,5 +233,5 @@ def evaluate(code, numbers, first, points, stack, values, sides, heights):
             stack[top] = _binary(operation, a, b)
             if k >= 0:
                 heights[k] = a - b if argument > 0 else b - a
-                if sides[k] < np.inf:
+                if operation > 37 and sides[k] < np.inf:
                     stack[top] = sides[k] if (argument > 0) == (operation < 40) else 1.0 - sides[k]

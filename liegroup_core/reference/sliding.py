@@ -85,21 +85,20 @@ class Surfaces:
             part = min(part, 0.25)
         return part
 
-    def between(self, sides, heights):
-        """(parts (p,) of a step at which its arguments change the side of a comparison, sides (p - 1, c) between them).
-
-        By the polynomials through the heights at the nodes.
-        """
+    def changes(self, heights):
+        """Parts (p,) of a step where arguments change the side of a comparison, by polynomials of the heights (s, c)."""
         free = (self.sides == FREE) & (np.abs(heights).max(axis=0) > self._least)
         values = self._values @ (self._polynomial @ heights[:, free])
         i, k = np.nonzero(values[1:] * values[:-1] < 0.0)
         before, after = values[i, k], values[i + 1, k]
-        parts = np.sort(GRID[i] + before / (before - after) * np.diff(GRID)[i])
-        found = np.tile(self.sides, (max(len(parts) - 1, 0), 1))
+        return np.sort(GRID[i] + before / (before - after) * np.diff(GRID)[i])
+
+    def sides_at(self, x, sides):
+        """Sides (p, c) at points x on [-1, 1] of a step with the sides (s, c) at its nodes."""
+        found = np.tile(self.sides, (len(x), 1))
         if self.slides.any():
-            x = parts[1:] + parts[:-1] - 1.0
             found[:, self.slides] = legendre.legval(x, self._polynomial @ sides[:, self.slides]).T
-        return parts, found
+        return found
 
     @property
     def _held(self):

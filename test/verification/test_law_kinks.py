@@ -13,7 +13,9 @@ from liegroup_core import Simulation, SimulationError, load_scene
 from liegroup_core.engine import Engine
 from liegroup_core.identification import Given, Log, Measured, identify
 from liegroup_core.linear import inverse_dynamics, linearise, sensitivities, transition, trim
+from liegroup_core.mechanism.body_model import initial_state
 from liegroup_core.reference.trajectory import WrenchSpan, integrate
+from liegroup_core.scene.centres import at_centres_of_mass
 from liegroup_core.scene.load import scene_from_text
 
 START = 0.3  # m, of the cart of 1 kg: its acceleration is the effort
@@ -498,3 +500,25 @@ joints:"""
         errors.append(np.abs(engine.sample().twist[1:, 3] - (0.0, speed)).max())
     assert 4.0 < fitted_order(steps, errors) < 6.0
     assert errors[-1] < 1e-5
+
+
+@pytest.mark.parametrize(
+    ("effort", "work"),
+    [
+        ("3 if q > 0.8 and q < 0.81 else 0", 0.03),
+        ("3*(q > 0.8) - 3*(0.81 < q)", 0.03),
+        ("30000*max(0, min(q - 0.8, 0.81 - q))", 0.75),
+        ("30000*max(0, 0.005 - abs(q - 0.805))", 0.75),
+    ],
+)
+def test_a_force_in_a_window_that_a_step_flies_through_is_seen(effort, work):
+    """No change has an effect at the end of the step, and no stage is in the window: v^2 = 1 + 2 W for the work W.
+
+    To a thousandth of the accuracy, since both ends of the window are located. The reference to its uncertainty.
+    """
+    scene, exact = cart(effort, velocity=1.0), math.sqrt(1.0 + 2.0 * work)
+    for accuracy in (1e-3, 1e-6):
+        simulation = Simulation(scene, accuracy=accuracy, quiet=True)
+        assert abs(end_of(simulation, 1.0)[1] - exact) < 1e-3 * accuracy
+    found, uncertainty = integrate(scene, *initial_state(at_centres_of_mass(scene)), np.array([1.0]))
+    assert abs(found.twist[0, 0, 5] - exact) < uncertainty.linear[0, 0] < 1e-8
