@@ -86,7 +86,7 @@ class Surfaces:
         return part
 
     def changes(self, heights):
-        """Parts (p,) of a step where arguments change the side of a comparison, by polynomials of the heights (s, c)."""
+        """Parts (p,) of a step where the side of a comparison changes, by polynomials of the heights (s, c)."""
         free = (self.sides == FREE) & (np.abs(heights).max(axis=0) > self._least)
         values = self._values @ (self._polynomial @ heights[:, free])
         i, k = np.nonzero(values[1:] * values[:-1] < 0.0)
