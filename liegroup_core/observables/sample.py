@@ -272,6 +272,15 @@ class Sample:
         return np.stack([self.touching[:, :3], (turns @ self.touching[:, 6:, None])[..., 0]], axis=1)
 
     @property
+    def pressing(self) -> NDArray[np.float64]:
+        """(m, 5) of each point of the contacts: 1 where it presses, x, y, z in m, world axes, 1 where it slips, else 0.
+
+        The four points of a rim of a cylinder are one, their centre of pressure. Without friction a point slips.
+        """
+        touching = self._layout.touching
+        return touching.pressing(self.registers, self._state[0]) if touching.names else np.empty((0, 5))
+
+    @property
     def slipping(self) -> tuple[str, ...]:
         """Joints whose contact would need a force that pulls, or more friction than their `mu`.
 

@@ -18,6 +18,7 @@ class Touching:
 
     names  : of the contacts, in the order of the scene
     bodies : (c,) numbers of the bodies on which they act
+    count  : m, of their points
     """
 
     def __init__(self, layout):
@@ -34,6 +35,7 @@ class Touching:
                 numbers = [each if register(each) < 0 else 0.0 for each in arm]
                 conditions = [register(each) for each in conditions]
                 points.append((force.name, own[k], conditions, [register(each) for each in arm], numbers))
+        self.count = len(points)
         owners, rows, conditions, arms, numbers = zip(*points) if points else ((),) * 5
         own = [owner == name for name in self.names for owner in owners]
         self._of = np.array(own, dtype=float).reshape(len(self.names), len(owners))
@@ -84,14 +86,26 @@ class Touching:
                 found.append((c, SLIDE if now == SLIPS else STICK))
         return found
 
+    def _places(self, registers, pose):
+        """(m, 3) from the frames to where outputs act, and (m, 3) the points; m, world axes. Arguments as of `at`."""
+        own = pose[self._bodies]
+        starts = (own[:, :9].reshape(-1, 3, 3) @ self._points[:, :, None])[..., 0]
+        return starts, own[:, 9:] + starts + np.where(self._arms < 0, self._numbers, registers[self._arms, 0])
+
+    def pressing(self, registers, pose):
+        """(m, 5) of each point: whether it presses, x, y, z in m, world axes, and whether it slips, as without friction.
+
+        Arguments as of `at`.
+        """
+        presses, yields = np.where(self._conditions < 0, 1.0, registers[self._conditions, 0]).T
+        return np.column_stack([presses > 0.0, self._places(registers, pose)[1], yields > 0.0])
+
     def at(self, registers, pose):
         """(c, 9) per contact: centre of pressure, world axes, or NaN; torque and force on the body, as Sample.
 
         registers : (m, 2) of the laws, computed;  pose : (n, 12) of the frames at the centres of mass
         """
-        values, own = registers[:, 0], pose[self._bodies]
-        starts = (own[:, :9].reshape(-1, 3, 3) @ self._points[:, :, None])[..., 0]
-        places = own[:, 9:] + starts + np.where(self._arms < 0, self._numbers, values[self._arms])
+        values, (starts, places) = registers[:, 0], self._places(registers, pose)
         torques, forces = values[self._registers[:, :3]], values[self._registers[:, 3:]]
         weights = self._of * values[self._normals]
         with np.errstate(invalid="ignore"):

@@ -6,7 +6,8 @@ mass and inertia, with edges x^2 = 6 (I_y + I_z - I_x) / m about the principal a
 with the visuals of its file; meshes must exist on this machine. A joint is a
 small sphere at the child's joint frame. An applied wrench is drawn as two arrows at the body's
 origin, one for the force and one for the torque; `arrow_scale` sets their length. So is the force of a contact on its
-body, at the point of contact, while something presses. The planes that contacts touch are squares.
+body, at its centre of pressure, while something presses. Points that press are small spheres, by whether they stick or
+slip. The planes that contacts touch are squares.
 """
 
 import dataclasses
@@ -21,15 +22,16 @@ from liegroup_core.scene.names import WORLD
 
 from .cdr import Template, stamp
 from .links import placer
-from .touching import planes
+from .touching import PLANE, POINT, SLIPS, STICKS, planes
 
-CUBE, SPHERE, CYLINDER, ARROW, MESH = 1, 2, 3, 0, 10
+CUBE, SPHERE, CYLINDER, ARROW, SPHERES, MESH = 1, 2, 3, 0, 7, 10
 RIM = 0.08  # width of a wheel that is drawn, relative to its diameter
 ADD, DELETE, DELETE_ALL = 0, 2, 3
 BODY_COLOR = (0.35, 0.55, 0.8, 0.9)
 JOINT_COLOR = (0.9, 0.6, 0.1, 1.0)
 FORCE_COLOR, TORQUE_COLOR = (0.8, 0.1, 0.1, 1.0), (0.5, 0.1, 0.7, 1.0)
-CONTACT_COLOR, PLANE_COLOR = (0.1, 0.6, 0.2, 1.0), (0.6, 0.6, 0.6, 0.4)
+CONTACT_COLOR, PLANE_COLOR = (*STICKS, 1.0), (*PLANE, 0.4)
+POINT_COLORS = (*STICKS, 1.0), (*SLIPS, 1.0)
 # Relative to the size of the largest body of the scene.
 JOINT_SIZE, SHAFT, HEAD, GROUND = 0.08, 0.03, 0.06, 20.0
 THINNEST = 0.01  # smallest edge of a marker; RViz does not draw size 0
@@ -56,8 +58,9 @@ class Markers:
         _add(self._end, "", 0, CUBE, world_frame, (0.0,) * 3, (0.0,) * 4)
         owners, local = [], []  # body, and pose in it, of each marker except arrows
         shapes, grounds = drawn(scene), planes(scene, np.mean([body.position for body in scene.bodies], axis=0))
-        contacts = layout.touching.names
-        template.put("I", len(shapes) + len(scene.joints) + len(grounds) + 2 * len(scene.bodies) + len(contacts))
+        contacts, points = layout.touching.names, layout.touching.count
+        count = len(shapes) + len(scene.joints) + len(grounds) + 2 * len(scene.bodies) + len(contacts)
+        template.put("I", count + bool(points))
         for i, (body, kind, size, pose, mesh, color) in enumerate(shapes):
             if kind != MESH:
                 size = np.maximum(size, THINNEST * largest)
@@ -82,6 +85,8 @@ class Markers:
                 _add(template, name, i, ARROW, world_frame, (SHAFT * largest, HEAD * largest, 0.0), color)
         for i in range(len(contacts)):
             _add(template, "contacts", i, ARROW, world_frame, (SHAFT * largest, HEAD * largest, 0.0), CONTACT_COLOR)
+        if points:
+            _add(template, "points", 0, SPHERES, world_frame, (2.0 * POINT * largest,) * 3, CONTACT_COLOR, points=points)
 
     def encode(self, stamp_ns, sample):
         """The serialized message."""
@@ -98,6 +103,13 @@ class Markers:
             presses = bool(np.isfinite(point[0]))
             ends = (*point, *(point + self.arrow_scale * force)) if presses else (0.0,) * 6
             slots += (time, (ADD if presses else DELETE,), (0.0,) * 6 + (1.0,), ends)
+        if len(sample.pressing):
+            # As many as there are: where one does not press, it is at one that does.
+            presses, at, slips = np.split(sample.pressing, [1, 4], axis=1)
+            rows = np.where(presses[:, 0] > 0.0, np.arange(len(presses)), int(presses.argmax()))
+            is_any = bool(presses.any())
+            colours = np.array(POINT_COLORS)[slips[rows, 0].astype(int)]
+            slots += (time, (ADD if is_any else DELETE,), (0.0,) * 6 + (1.0,), at[rows].ravel(), colours.ravel())
         return self._template.pack(*slots)
 
     def encode_end(self, stamp_ns):
@@ -105,10 +117,11 @@ class Markers:
         return self._end.pack(stamp(stamp_ns), (DELETE_ALL,), (0.0,) * 6 + (1.0,))
 
 
-def _add(template, namespace, number, kind, frame, size, color, mesh=""):
-    """Append a visualization_msgs/Marker; slots: stamp, action, pose, and for arrows the points.
+def _add(template, namespace, number, kind, frame, size, color, mesh="", points=0):
+    """Append a visualization_msgs/Marker; slots: stamp, action, pose, for arrows the ends, for SPHERES points, colors.
 
-    mesh : address of the mesh of a MESH
+    mesh   : address of the mesh of a MESH
+    points : number of the points of SPHERES
     """
     template.header(frame)
     template.string(namespace)
@@ -119,10 +132,14 @@ def _add(template, namespace, number, kind, frame, size, color, mesh=""):
     template.put("4f", *color)
     template.put("iI", 0, 0)  # lifetime: unlimited
     template.put("B", False)  # not locked to the frame
-    template.put("I", 2 if kind == ARROW else 0)
+    template.put("I", 2 if kind == ARROW else points)
     if kind == ARROW:
         template.slot("6d")
-    template.put("I", 0)  # colours of points
+    if points:
+        template.slot(f"{3 * points}d")
+    template.put("I", points)  # colours of points
+    if points:
+        template.slot(f"{4 * points}f")
     template.string("")  # texture: its resource, then the image:
     template.put("iI", 0, 0)
     template.string("")

@@ -1,13 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What pictures show of contacts: their planes, and their forces as arrows."""
+"""What pictures show of contacts: planes, points and forces."""
 
 import math
 
 import numpy as np
 
 from liegroup_core.fields.frames import rotation_z_to
+from liegroup_core.scene.names import WORLD
 
-ARROW, LONGEST = 0.75, 1.5  # of an arrow at the weight of all bodies, and of any, relative to the mechanism
+ARROW, LONGEST = 0.75, 1.5  # of an arrow at the weight of the heaviest mechanism, and of any, by its size
+POINT = 0.04  # radius of a point, by this size: seen below a ball that a camera views from 20 degrees above
+WIDE, ROOM = 0.5, 0.1  # a patch is at least so wide, by the longest edge of its box, and so much beyond it
+STICKS, SLIPS = (0.08, 0.6, 0.2), (0.85, 0.1, 0.55)  # colours of points
+PLANE = (0.45, 0.5, 0.56)
 
 
 def planes(scene, near):
@@ -25,13 +30,63 @@ def planes(scene, near):
     return list(found.values())
 
 
-def arrows(sample, size):
+def patches(scene, low, high):
+    """[(v, 3) m] corners, in order, of the part of each plane of `planes` that is in a box about the bodies.
+
+    low, high : (3,) m, bounds of the bodies. A box that does not reach a plane is extended to it
+    """
+    gravity, middle, found = np.array(scene.gravity), 0.5 * (low + high), []
+    up = np.abs(gravity) / np.linalg.norm(gravity) if gravity.any() else np.zeros(3)
+    longest = (high - low).max()
+    half = np.maximum(0.5 * (high - low), (0.5 * WIDE + ROOM) * longest * (1.0 - up))
+    for point, turn in planes(scene, middle):
+        least, most = np.minimum(middle - half, point), np.maximum(middle + half, point)
+        reach = np.linalg.norm(most - least)
+        corners = [point + reach * (a * turn[:, 0] + b * turn[:, 1]) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+        for axis in range(3):
+            for sign, limit in ((1.0, most[axis]), (-1.0, -least[axis])):
+                corners = _cut(corners, lambda x, k=axis, s=sign, e=limit: e + 1e-9 * reach - s * x[k])
+        if len(corners) > 2:
+            found.append(np.array(corners))
+    return found
+
+
+def _cut(corners, inside):
+    """Corners of the part of a convex polygon where a linear function is positive."""
+    found = []
+    for one, other in zip(corners, corners[1:] + corners[:1]):
+        a, b = inside(one), inside(other)
+        if a > 0.0:
+            found.append(one)
+        if (a > 0.0) != (b > 0.0):
+            found.append(one + a / (a - b) * (other - one))
+    return found
+
+
+def measure(scene, sizes):
+    """(m, N) size and weight of the heaviest mechanism: of bodies that joints connect, other than to the world.
+
+    sizes : (n,) m, of the bodies
+    """
+    groups = {body.name: {body.name} for body in scene.bodies}
+    for joint in scene.joints:
+        if WORLD not in (joint.parent, joint.child):
+            both = groups[joint.parent] | groups[joint.child]
+            groups |= dict.fromkeys(both, both)
+    mass = {body.name: body.mass for body in scene.bodies}
+    heaviest = max(groups.values(), key=lambda group: sum(mass[name] for name in group))
+    own = [k for k, body in enumerate(scene.bodies) if body.name in heaviest]
+    places = np.array([scene.bodies[k].position for k in own])
+    size = float(np.linalg.norm(np.ptp(places, axis=0)) + max(sizes[k] for k in own))
+    return size, sum(mass[name] for name in heaviest) * math.hypot(*scene.gravity)
+
+
+def arrows(sample, size, weight):
     """(c, 2, 3) m, world axes: start and tip of the force of each contact on its body; NaN where nothing presses.
 
-    size : of the mechanism, m. Without gravity all arrows are equally long
+    size, weight : as `measure`. Without gravity all arrows are equally long
     """
-    scene, found = sample.scene, sample.contact_forces
-    weight = sum(body.mass for body in scene.bodies) * math.hypot(*scene.gravity)
+    found = sample.contact_forces
     forces = np.linalg.norm(found[:, 1], axis=1)
     lengths = np.minimum(ARROW * forces / weight, LONGEST) if weight else np.full(len(found), ARROW)
     scale = np.divide(size * lengths, forces, where=forces > 0.0, out=np.zeros(len(found)))

@@ -156,6 +156,9 @@ class Motion {
     this.places = numbers(view.places, Float32Array);
     this.forces = numbers(view.forces, Float32Array);
     this.touches = this.forces.length / 6 / this.times.length;
+    this.touching = numbers(view.touching, Float32Array);
+    this.ends = numbers(view.ends, Int32Array);
+    this.most = this.ends.reduce((most, end, k) => Math.max(most, end - (k ? this.ends[k - 1] : 0)), 0);
     this.breaks = new Set(view.breaks);
     this.layers = [0, 1].map(() => ({points: [], faces: [], opacity: 1}));   // opaque, transparent
     [...this.bodies, ...view.fixed].forEach((body, k) => {
@@ -201,16 +204,19 @@ class Motion {
     return lines;
   }
 
-  // Corners of the part of a plane that is below or beside the whole motion.
-  square([point, [t, s]], {x, y, z}) {
-    const reach = .5 * Math.hypot(...[x, y, z].map(({range: [low, high]}) => high - low));
-    const middle = [x, y, z].map(({range: [low, high]}) => .5 * (low + high));
-    const along = [t, s].map(axis => axis.reduce((sum, part, i) => sum + part * (middle[i] - point[i]), 0));
-    return [[-1, -1], [1, -1], [1, 1], [-1, 1]].map(([a, b]) => point.map(
-      (part, i) => part + (along[0] + a * reach) * t[i] + (along[1] + b * reach) * s[i]));
+  // Vertices of the octahedra at points of contacts that press and stick, or slip; the rest of them is in one place.
+  points(k, slips) {
+    const found = [], r = this.view.point, rest = this.point(k, 0, [0, 0, 0]);
+    for (let p = k ? this.ends[k - 1] : 0; p < this.ends[k]; p++) {
+      const [x, y, z, own] = this.touching.subarray(4 * p, 4 * p + 4);
+      if (own === slips)
+        found.push([x - r, y, z], [x, y - r, z], [x + r, y, z], [x, y + r, z], [x, y, z - r], [x, y, z + r]);
+    }
+    while (found.length < 6 * this.most) found.push(rest);
+    return found;
   }
 
-  // x, y, z of links, joints, the layers of bodies, and the forces of contacts
+  // x, y, z of links, joints, the layers of bodies, the forces of contacts, their points that stick, that slip
   frame(k) {
     const poses = this.bodies.map((_, i) => this.pose(k, i));
     const parts = [[], []];
@@ -226,6 +232,7 @@ class Motion {
     for (const {points} of this.layers)
       parts.push(points.map(([i, local]) => i < 0 ? local : placed(...poses[i], local)));
     parts.push(this.arrows(k));
+    if (this.most) parts.push(this.points(k, 0), this.points(k, 1));
     return [0, 1, 2].map(axis => parts.map(part => part.map(place => place[axis])));
   }
 
@@ -268,6 +275,7 @@ class Motion {
       this.bodies.forEach((body, i) => corners(body).forEach(corner => take(this.point(k, i, corner), 0)));
       for (const {child, at} of this.view.joints) take(this.point(k, child, at), 0);
     }
+    for (const corner of this.view.planes.flat()) take(corner, 0);
     for (const {shapes} of this.view.fixed)
       for (const {at, size} of shapes) take(at, .5 * Math.hypot(...size));
     const longest = Math.max(...high.map((x, i) => x - low[i])) || 1;
@@ -315,13 +323,18 @@ function curve(path, name, colour, width) {
           hovertemplate: "%{text}<br>%{x:.4g}, %{y:.4g}, %{z:.4g} m"};
 }
 
+// Numbers of vertices of so many octahedra, from those of one.
+function octahedra(count, own) {
+  return [...Array(count).keys()].flatMap(p => own.map(n => 6 * p + n));
+}
+
 function drawView(root, view, planes) {
   const motion = new Motion(view), plot = root.querySelector(".plot");
   const [button, slider, speeds, output] = ["button", "input", "select", "output"].map(
     name => root.querySelector(name));
   const count = motion.times.length, start = motion.times[0], end = motion.times[count - 1];
   const paths = motion.paths(), last = 2 + motion.layers.length;
-  const moving = [...Array(last + 1).keys()].map(k => paths.length + k);
+  const moving = [...Array(last + (motion.most ? 3 : 1)).keys()].map(k => paths.length + k);
   const scene = motion.axes(), height = narrow() ? 340 : 400;
   scene.camera = camera(scene.aspectratio, plot.clientWidth, height - view.layout.margin.t);
   const state = {frame: 0, time: start, playing: false, motion, plot, shown: ""};
@@ -344,9 +357,17 @@ function drawView(root, view, planes) {
          lightposition: {x: 2000, y: -4000, z: 6000}})),
       {type: "scatter3d", mode: "lines", name: "contact force", x: x[last], y: y[last], z: z[last], hoverinfo: "skip",
        showlegend: motion.touches > 0, connectgaps: false, line: {color: "--green", width: 6}},
-      ...view.planes.map(plane => motion.square(plane, {x: scene.xaxis, y: scene.yaxis, z: scene.zaxis})).map(corners => (
+      ...(motion.most ? [["sticks", "--green"], ["slips", "--pink"]] : []).map(([what, color], n) => (
+        {type: "mesh3d", name: `contact ${what}`, x: x[last + 1 + n], y: y[last + 1 + n], z: z[last + 1 + n],
+         i: octahedra(motion.most, [0, 1, 2, 3, 0, 1, 2, 3]), j: octahedra(motion.most, [1, 2, 3, 0, 1, 2, 3, 0]),
+         k: octahedra(motion.most, [4, 4, 4, 4, 5, 5, 5, 5]), color, flatshading: true, hoverinfo: "name",
+         showlegend: true, lighting: {ambient: .8, diffuse: .4}})),
+      ...view.planes.flatMap(corners => [
         {type: "mesh3d", x: corners.map(p => p[0]), y: corners.map(p => p[1]), z: corners.map(p => p[2]),
-         i: [0, 0], j: [1, 2], k: [2, 3], color: "--grey", opacity: .25, hoverinfo: "skip", showlegend: false}))];
+         i: corners.slice(2).map(() => 0), j: corners.slice(2).map((_, n) => n + 1),
+         k: corners.slice(2).map((_, n) => n + 2), color: "--soft", opacity: .3, hoverinfo: "skip",
+         showlegend: false},
+        {...curve([...corners, corners[0]], "plane", "--soft", 3), hoverinfo: "skip", showlegend: false}])];
     paths.forEach((path, i) => { if (i >= (narrow() ? 6 : 9)) path.showlegend = false; });
     return Plotly.react(plot, themed(data), themed({...view.layout, scene,
       height, uirevision: 1, modebar: MODEBAR,

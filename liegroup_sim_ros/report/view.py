@@ -10,7 +10,7 @@ import scipy
 from liegroup_core.scene.names import WORLD
 from liegroup_sim_ros.analysis.acting import sample_of
 from liegroup_sim_ros.messages.markers import THINNEST, edges, links, solid
-from liegroup_sim_ros.messages.touching import arrows, planes
+from liegroup_sim_ros.messages.touching import POINT, arrows, measure, patches
 
 from .plots import BASE, MANY_COLOURS, label
 from .shapes import box_of
@@ -28,8 +28,10 @@ def make_view(analysis, shapes=None):
                     inertia
     times, places : base64 of (k,) float64, and of (k, n, 7) float32: position and x y z w of the
                     body frames
-    planes        : (point, columns of axes, the last one normal) of those that contacts touch
+    planes        : corners of the `patches` that contacts touch
     forces        : base64 of float32 (k, c, 6): start and tip of the force of each contact, NaN where it is 0
+    touching      : base64 of float32 (t, 4), points that press: x y z, 1 where one slips, and `ends`, base64 of int32
+                    (k,) of how many there are up to each time; `point`: radius in m of one that is drawn
     breaks        : last frames before a reset
     """
     scene, stretches = analysis.scene, analysis.motion.stretches
@@ -93,7 +95,9 @@ def make_view(analysis, shapes=None):
         for stretch in stretches
         for first, end, body in sorted((*pair, name) for name in index for pair in stretch.pushes_on(name).tolist())
     ]
-    size = np.linalg.norm(np.ptp(position[0], axis=0)) + max(np.linalg.norm(body["size"]) for body in bodies)
+    scale = measure(scene, [max(body["size"]) for body in bodies])
+    forces, touching = _contacts(layout, stretches, pick - since[owner], owner, scale)
+    low, high = _bounds(bodies, position, turn.reshape(*position.shape[:2], 3, 3))
     seconds = float(times[-1] - times[0])
     return {
         "bodies": bodies,
@@ -102,8 +106,11 @@ def make_view(analysis, shapes=None):
         "links": [[[i, point.tolist()] for i, point in ends] for ends in links(scene)],
         "times": _packed(times, "<f8"),
         "places": _packed(places, "<f4"),
-        "planes": [[point.tolist(), turn.T.tolist()] for point, turn in planes(scene, position.mean(axis=(0, 1)))],
-        "forces": _packed(_forces(layout, stretches, pick - since[owner], owner, size), "<f4"),
+        "planes": [each.tolist() for each in patches(scene, low, high)],
+        "forces": _packed(forces, "<f4"),
+        "touching": _packed(np.concatenate([*touching, np.empty((0, 4))]), "<f4"),
+        "ends": _packed(np.cumsum([len(each) for each in touching]), "<i4"),
+        "point": POINT * scale[0],
         "breaks": np.flatnonzero(np.diff(owner)).tolist(),
         "pushes": pushes[:MOST_PUSHES],
         "frames": len(pick),
@@ -117,12 +124,25 @@ def make_view(analysis, shapes=None):
     }
 
 
-def _forces(layout, stretches, rows, owner, size):
-    """(k, c, 2, 3) `arrows` of the samples `rows` (k,) of the stretches `owner` (k,)."""
-    found = np.full((len(rows), len(layout.touching.names), 2, 3), np.nan)
+def _contacts(layout, stretches, rows, owner, scale):
+    """(k, c, 2, 3) `arrows` of the samples `rows` (k,) of the stretches `owner` (k,), and [(p, 4)] points that press."""
+    found, points = np.full((len(rows), len(layout.touching.names), 2, 3), np.nan), []
     for k, (row, stretch) in enumerate(zip(rows, owner) if found.size else ()):
-        found[k] = arrows(sample_of(layout, stretches[stretch], row), size)
-    return found
+        sample = sample_of(layout, stretches[stretch], row)
+        found[k] = arrows(sample, *scale)
+        points.append(sample.pressing[sample.pressing[:, 0] > 0.0, 1:])
+    return found, points or [np.empty((0, 4))] * len(rows)
+
+
+def _bounds(bodies, position, turn):
+    """Least and largest coordinates (3,), (3,) m of the boxes about bodies, in frames (k, n, 3), (k, n, 3, 3)."""
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for i, body in enumerate(bodies):
+        axes = turn[:, i] @ np.reshape(body["turn"], (3, 3))
+        at = position[:, i] + turn[:, i] @ body["at"]
+        reach = np.abs(axes) @ (0.5 * np.array(body["size"]))
+        low, high = np.minimum(low, (at - reach).min(axis=0)), np.maximum(high, (at + reach).max(axis=0))
+    return low, high
 
 
 def _coloured(shapes):

@@ -18,18 +18,19 @@ class Boxes:
     """Boxes about the bodies of a Layout; shapes: {body: [triangles]} of report.shapes, others are their solids.
 
     size, middle : m, (3,) m: diagonal and centre of the box about all bodies at the start
+    halves : (n, 3) m, half the edges of the boxes
     """
 
     def __init__(self, layout, shapes):
         scene = layout.scene
-        self._places, self._halves = np.tile(np.eye(4), (len(scene.bodies), 1, 1)), np.zeros((len(scene.bodies), 3))
+        self._places, self.halves = np.tile(np.eye(4), (len(scene.bodies), 1, 1)), np.zeros((len(scene.bodies), 3))
         for i, body in enumerate(scene.bodies):
             if shapes.get(body.name):
                 self._places[i, :3, 3], lengths = box_of(shapes[body.name])
             else:
                 visual = solid(body, scene)
                 lengths, self._places[i] = edges(visual), visual.pose
-            self._halves[i] = 0.5 * np.asarray(lengths)
+            self.halves[i] = 0.5 * np.asarray(lengths)
         start = np.array([[*body.rotation.ravel(), *body.position] for body in scene.bodies])
         low, high = self.bounds(start)
         self.size, self.middle = float(np.linalg.norm(high - low)) or layout.size, 0.5 * (low + high)
@@ -42,12 +43,12 @@ class Boxes:
 
     def centres(self, poses):
         """Centres (..., n, 3) m, world axes, of the bodies at poses (..., n, 12), and radii (n,) m about them."""
-        return self._frames(poses)[0], np.linalg.norm(self._halves, axis=1)
+        return self._frames(poses)[0], np.linalg.norm(self.halves, axis=1)
 
     def bounds(self, poses):
         """Least and largest coordinates (3,), (3,) m, world axes, of the bodies at poses (..., n, 12)."""
         at, axes = self._frames(poses)
-        reach = (np.abs(axes) @ self._halves[:, :, None])[..., 0]
+        reach = (np.abs(axes) @ self.halves[:, :, None])[..., 0]
         return (at - reach).reshape(-1, 3).min(axis=0), (at + reach).reshape(-1, 3).max(axis=0)
 
     def framed(self, poses, before=None):
@@ -75,7 +76,7 @@ class Boxes:
         at, axes = self._frames(poses)
         start, along = origin - at, np.broadcast_to(direction, at.shape)
         start, along = ((vector[..., None, :] @ axes)[..., 0, :] for vector in (start, along))
-        half = self._halves + THICK * self.size
+        half = self.halves + THICK * self.size
         with np.errstate(divide="ignore", invalid="ignore"):
             ends = np.stack([(-half - start) / along, (half - start) / along])
         others = np.zeros(at.shape[1], dtype=bool) if body is None else np.arange(at.shape[1]) != body
@@ -91,7 +92,7 @@ class Boxes:
             apart[others | ~np.isfinite(apart)] = np.inf
             k, i = np.unravel_index(apart.argmin(), apart.shape)
             depth = depths[k, i]
-        local = np.clip(start[k, i] + depth * along[k, i], -self._halves[i], self._halves[i])
+        local = np.clip(start[k, i] + depth * along[k, i], -self.halves[i], self.halves[i])
         return int(k), int(i), self._places[i, :3, 3] + self._places[i, :3, :3] @ local
 
 

@@ -12,11 +12,17 @@ from scipy.spatial.transform import Rotation
 
 from liegroup_core.scene.names import WORLD
 from liegroup_sim_ros.messages.markers import THINNEST, edges, in_primitives, links, solid
-from liegroup_sim_ros.messages.touching import arrows
+from liegroup_sim_ros.messages.touching import PLANE, POINT, SLIPS, STICKS, arrows, measure, patches
 from liegroup_sim_ros.report.shapes import decoded
 
 from .boxes import Boxes
 from .server import mover
+
+
+
+def _bytes(colour):
+    return tuple(round(255.0 * part) for part in colour)
+
 
 COLOURS = (
     (76, 120, 168),
@@ -30,7 +36,9 @@ COLOURS = (
 )
 JOINT, SPRING, TRACE, HALO, GHOST = (230, 160, 30), (120, 120, 120), (150, 60, 160), (220, 40, 40), (150, 150, 150)
 FORCE, TORQUE, PULL, GRAVITY, REACTION = (200, 30, 30), (130, 30, 180), (20, 120, 20), (60, 60, 60), (30, 90, 200)
-CONTACT = (20, 150, 50)
+CONTACT, TOUCHES = _bytes(STICKS), np.array([_bytes(STICKS), _bytes(SLIPS)])
+SHADE = 0.35  # opacity of the planes of contacts; they are drawn so much below, of the mechanism, that grids are seen
+BELOW = 1e-3
 PART, MOST_LARGE = 0.035, 6  # size of a joint relative to the mechanism; joints of this size, more are smaller
 LONGEST = 0.3  # of an arrow, relative to the mechanism
 MOST_TRACE = 400  # points of a trace
@@ -109,6 +117,7 @@ class Drawing:
                 api.add_frame(f"{self._root}/touch{k}", show_axes=False, visible=False)
                 for k in range(0 if ghost else len(layout.touching.names))
             ]
+        self._measure = measure(scene, 2.0 * self.boxes.halves.max(axis=1))
         self._movers = [mover(server, handle) for handle in (*self._frames, *self._touches)]
         self._springs = [] if ghost else links(scene)
         self._handles, self._largest, self._trace = {}, {}, []
@@ -207,12 +216,13 @@ class Drawing:
         world = np.einsum("nij,nkj->nki", turns, wrenches.reshape(-1, 2, 3))
         self._arrows("forces", place, world[:, 1], FORCE, look.wrenches)
         self._arrows("torques", place, world[:, 0], TORQUE, look.wrenches)
-        for k, (start, tip) in enumerate(arrows(sample, self.size)):
+        for k, (start, tip) in enumerate(arrows(sample, *self._measure)):
             presses = look.contacts and bool(np.isfinite(start[0]))
             _set(self._touches[k], "visible", presses)
             if presses:
                 self._movers[len(place) + k][0](start.tolist())
-                self._show_arrows(f"touch{k}/force", np.array([[np.zeros(3), tip - start]]), CONTACT)
+                self._show_arrows(f"touch{k}/force", np.array([[np.zeros(3), tip - start]]), CONTACT, self._measure[0])
+        self._show_points(sample.pressing[sample.pressing[:, 0] > 0.0] if look.contacts else np.empty((0, 5)))
         self._arrows("gravity", centres, self._weights, GRAVITY, look.gravity)
         starts, forces = self._reactions(sample) if look.reactions else (np.empty((0, 3)), np.empty((0, 3)))
         self._arrows("reactions", starts, forces, REACTION, look.reactions)
@@ -269,9 +279,41 @@ class Drawing:
         tips = starts + vectors * (LONGEST * self.size / largest)
         self._show_arrows(name, np.stack([starts[some], tips[some]], axis=1), colour)
 
-    def _show_arrows(self, name, points, colour):
-        """Arrows from and to points (k, 2, 3)."""
-        handle, size = self._handles.get(name), self.size
+    def show_planes(self, low, high):
+        """Shade the planes of contacts, with their edges, where bodies move; low, high : (3,) m, bounds of these."""
+        for k, corners in enumerate(patches(self._layout.scene, low, high)):
+            faces = [(0, i, i + 1) for i in range(1, len(corners) - 1)]
+            normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
+            below = corners - BELOW * self.size * normal / np.linalg.norm(normal)
+            self._server.scene.add_mesh_simple(
+                f"{self._root}/plane{k}", below, np.array(faces), color=_bytes(PLANE), side="double", opacity=SHADE,
+                cast_shadow=False,
+            )  # fmt: skip
+            self._show_lines(f"edge{k}", np.stack([corners, np.roll(corners, -1, axis=0)], axis=1), _bytes(PLANE))
+
+    def _show_points(self, points):
+        """Points (k, 5) of contacts that press, as Sample.pressing."""
+        handle = self._handles.get("points")
+        if not len(points):
+            if handle is not None:
+                _set(handle, "visible", False)
+            return
+        places, colours = points[:, 1:4].astype(np.float32), TOUCHES[points[:, 4].astype(int)].astype(np.uint8)
+        if handle is None or len(handle.points) != len(points):
+            self._handles["points"] = self._server.scene.add_point_cloud(
+                f"{self._root}/points", places, colours, point_size=2.0 * POINT * self._measure[0],
+                point_shape="circle", precision="float32",
+            )  # fmt: skip
+            return
+        if np.abs(handle.points - places).max() > UNSEEN * self.size:
+            handle.points = places
+        if (handle.colors != colours).any():
+            handle.colors = colours
+        _set(handle, "visible", True)
+
+    def _show_arrows(self, name, points, colour, size=None):
+        """Arrows from and to points (k, 2, 3); size : m, by which they are thick; None: of the mechanism."""
+        handle, size = self._handles.get(name), size or self.size
         if not len(points):
             if handle is not None:
                 _set(handle, "visible", False)

@@ -35,6 +35,7 @@ SAME_VIEW = 1e-3  # of the mechanism: a camera that is elsewhere was moved by th
 SKY, EARTH, BRIGHT = (255, 255, 255), (140, 140, 140), 2.2  # light from above and below
 MOST_TRIANGLES = 200_000  # of all visuals; they are sent once
 FLOOR, FADES = 4.0, 20.0  # size of the grid, and where that of a contact's plane ends, relative to the mechanism
+LEVEL = 0.999  # cosine of the slope of a plane that has a grid
 
 
 class Page:
@@ -248,6 +249,8 @@ class Page:
         ground = up * min(0.0, lowest) if abs(lowest) < 5.0 * size else up * lowest
         grounds = planes(layout.scene, middle)
         for k, (point, turn) in enumerate(grounds):
+            if turn[:, 2] @ up < LEVEL:  # grids that cross would hide where one plane ends
+                continue
             server.scene.add_grid(
                 f"/plane{k}", infinite_grid=True, cell_size=0.5 * cell, section_size=cell, fade_distance=FADES * size,
                 position=point, wxyz=np.roll(Rotation.from_matrix(turn).as_quat(), 1),
@@ -267,6 +270,7 @@ class Page:
             self._framed = self._drawing.boxes.framed(frame.sample.pose, self._framed)
         if self._framed is None:
             self._framed = middle - 0.5 * size, middle + 0.5 * size
+        self._drawing.show_planes(*self._framed)
         camera = server.initial_camera
         camera.fov, camera.near, camera.far = FIELD, 1e-3 * size, 1e3 * size
         camera.position, camera.look_at = self._camera(1400, 900)
@@ -302,6 +306,8 @@ class Page:
 
     def _follow(self, frame):
         """Frame the mechanism anew where it leaves the picture."""
-        self._framed = self._drawing.boxes.framed(frame.sample.pose, self._framed)
+        before, self._framed = self._framed, self._drawing.boxes.framed(frame.sample.pose, self._framed)
+        if self._framed is not before:
+            self._drawing.show_planes(*self._framed)
         for client in self.clients():
             self._aim(client)

@@ -231,7 +231,7 @@ class Panel:
             "joints": "joints",
             "frames": "body frames",
             "wrenches": "applied wrenches",
-            "contacts": "forces of contacts",
+            "contacts": "contacts: points, green where they stick, and forces",
             "reactions": "reactions",
             "gravity": "gravity",
             "trace": "traces",
