@@ -8,9 +8,11 @@ import numpy as np
 from liegroup_core.fields.frames import rotation_z_to
 from liegroup_core.scene.names import WORLD
 
-ARROW, LONGEST = 0.75, 1.5  # of an arrow at the weight of the heaviest mechanism, and of any, by its size
-POINT = 0.04  # radius of a point, by this size: seen below a ball that a camera views from 20 degrees above
-WIDE, ROOM = 0.5, 0.1  # a patch is at least so wide, by the longest edge of its box, and so much beyond it
+ARROW, LONGEST = 2.0, 3.0  # of an arrow at the weight of the heaviest mechanism, and of any, by its size
+# Radius of a point, by this size, and the least one by that of the picture. A point below a ball is seen by a camera
+# at an angle of 25 degrees above: there the ball covers 0.05 of its diameter below it.
+POINT, SMALLEST = 0.05, 0.01
+WIDE, ROOM = 0.5, 1.1  # of a patch: least width by the longest edge of the bodies' box, and size by that of the box
 STICKS, SLIPS = (0.08, 0.6, 0.2), (0.85, 0.1, 0.55)  # colours of points
 PLANE = (0.45, 0.5, 0.56)
 
@@ -38,7 +40,7 @@ def patches(scene, low, high):
     gravity, middle, found = np.array(scene.gravity), 0.5 * (low + high), []
     up = np.abs(gravity) / np.linalg.norm(gravity) if gravity.any() else np.zeros(3)
     longest = (high - low).max()
-    half = np.maximum(0.5 * (high - low), (0.5 * WIDE + ROOM) * longest * (1.0 - up))
+    half = np.maximum(0.5 * (high - low) * (up + ROOM * (1.0 - up)), 0.5 * WIDE * longest * (1.0 - up))
     for point, turn in planes(scene, middle):
         least, most = np.minimum(middle - half, point), np.maximum(middle + half, point)
         reach = np.linalg.norm(most - least)
@@ -49,6 +51,21 @@ def patches(scene, low, high):
         if len(corners) > 2:
             found.append(np.array(corners))
     return found
+
+
+def rulings(corners, cell):
+    """(r, 2, 3) m, ends of lines on a patch at multiples of a distance in m."""
+    normal, found = np.cross(corners[1] - corners[0], corners[2] - corners[0]), []
+    for way in rotation_z_to(normal / np.linalg.norm(normal)).T[:2]:
+        heights = corners @ way
+        for height in cell * np.arange(math.ceil(heights.min() / cell), heights.max() / cell):
+            sides, others = heights - height, np.roll(heights, -1) - height
+            cut = (sides > 0.0) != (others > 0.0)
+            part = (sides[cut] / (sides[cut] - others[cut]))[:, None]
+            ends = corners[cut] + part * (np.roll(corners, -1, axis=0) - corners)[cut]
+            if len(ends) == 2:
+                found.append(ends)
+    return np.reshape(found, (-1, 2, 3))
 
 
 def _cut(corners, inside):
@@ -79,6 +96,11 @@ def measure(scene, sizes):
     places = np.array([scene.bodies[k].position for k in own])
     size = float(np.linalg.norm(np.ptp(places, axis=0)) + max(sizes[k] for k in own))
     return size, sum(mass[name] for name in heaviest) * math.hypot(*scene.gravity)
+
+
+def radius(size, extent):
+    """Radius of a drawn point, m; size : as `measure`, extent : m, of the picture."""
+    return max(POINT * size, SMALLEST * extent)
 
 
 def arrows(sample, size, weight):

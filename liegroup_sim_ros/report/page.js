@@ -357,11 +357,11 @@ function drawView(root, view, planes) {
          lightposition: {x: 2000, y: -4000, z: 6000}})),
       {type: "scatter3d", mode: "lines", name: "contact force", x: x[last], y: y[last], z: z[last], hoverinfo: "skip",
        showlegend: motion.touches > 0, connectgaps: false, line: {color: "--green", width: 6}},
-      ...(motion.most ? [["sticks", "--green"], ["slips", "--pink"]] : []).map(([what, color], n) => (
-        {type: "mesh3d", name: `contact ${what}`, x: x[last + 1 + n], y: y[last + 1 + n], z: z[last + 1 + n],
+      ...(motion.most ? [["contact sticks", "--green"], ["contact slips", "--pink"]] : []).map(([name, color], n) => (
+        {type: "mesh3d", name, x: x[last + 1 + n], y: y[last + 1 + n], z: z[last + 1 + n],
          i: octahedra(motion.most, [0, 1, 2, 3, 0, 1, 2, 3]), j: octahedra(motion.most, [1, 2, 3, 0, 1, 2, 3, 0]),
          k: octahedra(motion.most, [4, 4, 4, 4, 5, 5, 5, 5]), color, flatshading: true, hoverinfo: "name",
-         showlegend: true, lighting: {ambient: .8, diffuse: .4}})),
+         showlegend: n > 0, lighting: {ambient: 1, diffuse: .1}})),
       ...view.planes.flatMap(corners => [
         {type: "mesh3d", x: corners.map(p => p[0]), y: corners.map(p => p[1]), z: corners.map(p => p[2]),
          i: corners.slice(2).map(() => 0), j: corners.slice(2).map((_, n) => n + 1),

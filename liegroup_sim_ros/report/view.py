@@ -10,7 +10,7 @@ import scipy
 from liegroup_core.scene.names import WORLD
 from liegroup_sim_ros.analysis.acting import sample_of
 from liegroup_sim_ros.messages.markers import THINNEST, edges, links, solid
-from liegroup_sim_ros.messages.touching import POINT, arrows, measure, patches
+from liegroup_sim_ros.messages.touching import arrows, measure, patches, radius
 
 from .plots import BASE, MANY_COLOURS, label
 from .shapes import box_of
@@ -110,7 +110,7 @@ def make_view(analysis, shapes=None):
         "forces": _packed(forces, "<f4"),
         "touching": _packed(np.concatenate([*touching, np.empty((0, 4))]), "<f4"),
         "ends": _packed(np.cumsum([len(each) for each in touching]), "<i4"),
-        "point": POINT * scale[0],
+        "point": radius(scale[0], float(np.linalg.norm(high - low))),
         "breaks": np.flatnonzero(np.diff(owner)).tolist(),
         "pushes": pushes[:MOST_PUSHES],
         "frames": len(pick),

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from liegroup_core.scene.names import WORLD
 from liegroup_sim_ros.messages.markers import THINNEST, edges, in_primitives, links, solid
-from liegroup_sim_ros.messages.touching import PLANE, POINT, SLIPS, STICKS, arrows, measure, patches
+from liegroup_sim_ros.messages.touching import PLANE, SLIPS, STICKS, arrows, measure, patches, radius, rulings
 from liegroup_sim_ros.report.shapes import decoded
 
 from .boxes import Boxes
@@ -36,8 +36,10 @@ COLOURS = (
 )
 JOINT, SPRING, TRACE, HALO, GHOST = (230, 160, 30), (120, 120, 120), (150, 60, 160), (220, 40, 40), (150, 150, 150)
 FORCE, TORQUE, PULL, GRAVITY, REACTION = (200, 30, 30), (130, 30, 180), (20, 120, 20), (60, 60, 60), (30, 90, 200)
-CONTACT, TOUCHES = _bytes(STICKS), np.array([_bytes(STICKS), _bytes(SLIPS)])
-SHADE = 0.35  # opacity of the planes of contacts; they are drawn so much below, of the mechanism, that grids are seen
+CONTACT, TOUCHES = _bytes(STICKS), (_bytes(STICKS), _bytes(SLIPS))
+THICK = 0.025  # radius of a point, by the size for which an arrow of a contact is thick
+RULING = (150, 160, 170)
+SHADE = 0.35  # opacity of the planes of contacts, which are below their lines by BELOW of the mechanism
 BELOW = 1e-3
 PART, MOST_LARGE = 0.035, 6  # size of a joint relative to the mechanism; joints of this size, more are smaller
 LONGEST = 0.3  # of an arrow, relative to the mechanism
@@ -118,6 +120,7 @@ class Drawing:
                 for k in range(0 if ghost else len(layout.touching.names))
             ]
         self._measure = measure(scene, 2.0 * self.boxes.halves.max(axis=1))
+        self._radius, self._points = radius(self._measure[0], self.size), {}
         self._movers = [mover(server, handle) for handle in (*self._frames, *self._touches)]
         self._springs = [] if ghost else links(scene)
         self._handles, self._largest, self._trace = {}, {}, []
@@ -126,7 +129,8 @@ class Drawing:
 
     def remove(self):
         """Delete all nodes."""
-        for handle in (*self._frames, *self._touches, *self._handles.values()):
+        points = (handle for handle, _ in self._points.values())
+        for handle in (*self._frames, *self._touches, *self._handles.values(), *points):
             handle.remove()
 
     def _meshes(self, name, shapes, colour, ghost):
@@ -221,8 +225,8 @@ class Drawing:
             _set(self._touches[k], "visible", presses)
             if presses:
                 self._movers[len(place) + k][0](start.tolist())
-                self._show_arrows(f"touch{k}/force", np.array([[np.zeros(3), tip - start]]), CONTACT, self._measure[0])
-        self._show_points(sample.pressing[sample.pressing[:, 0] > 0.0] if look.contacts else np.empty((0, 5)))
+                self._show_arrows(f"touch{k}/force", np.array([[np.zeros(3), tip - start]]), CONTACT, self._radius / THICK)
+        self._show_points(sample.pressing if look.contacts else np.empty((0, 5)))
         self._arrows("gravity", centres, self._weights, GRAVITY, look.gravity)
         starts, forces = self._reactions(sample) if look.reactions else (np.empty((0, 3)), np.empty((0, 3)))
         self._arrows("reactions", starts, forces, REACTION, look.reactions)
@@ -281,6 +285,7 @@ class Drawing:
 
     def show_planes(self, low, high):
         """Shade the planes of contacts, with their edges, where bodies move; low, high : (3,) m, bounds of these."""
+        cell = 10.0 ** math.floor(math.log10(self.size))
         for k, corners in enumerate(patches(self._layout.scene, low, high)):
             faces = [(0, i, i + 1) for i in range(1, len(corners) - 1)]
             normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
@@ -290,26 +295,22 @@ class Drawing:
                 cast_shadow=False,
             )  # fmt: skip
             self._show_lines(f"edge{k}", np.stack([corners, np.roll(corners, -1, axis=0)], axis=1), _bytes(PLANE))
+            self._show_lines(f"rulings{k}", rulings(corners, cell), RULING, 1.0)
 
     def _show_points(self, points):
-        """Points (k, 5) of contacts that press, as Sample.pressing."""
-        handle = self._handles.get("points")
-        if not len(points):
-            if handle is not None:
-                _set(handle, "visible", False)
-            return
-        places, colours = points[:, 1:4].astype(np.float32), TOUCHES[points[:, 4].astype(int)].astype(np.uint8)
-        if handle is None or len(handle.points) != len(points):
-            self._handles["points"] = self._server.scene.add_point_cloud(
-                f"{self._root}/points", places, colours, point_size=2.0 * POINT * self._measure[0],
-                point_shape="circle", precision="float32",
-            )  # fmt: skip
-            return
-        if np.abs(handle.points - places).max() > UNSEEN * self.size:
-            handle.points = places
-        if (handle.colors != colours).any():
-            handle.colors = colours
-        _set(handle, "visible", True)
+        """Points (m, 5) of contacts, as Sample.pressing; a node of each one that has pressed, which moves at once."""
+        for k in np.flatnonzero(points[:, 0]) if len(points) else ():
+            colour = TOUCHES[int(points[k, 4])]
+            if k not in self._points:
+                handle = self._server.scene.add_icosphere(
+                    f"{self._root}/point{k}", self._radius, colour, subdivisions=2, cast_shadow=False
+                )
+                self._points[k] = handle, mover(self._server, handle)[0]
+            handle, move = self._points[k]
+            move(points[k, 1:4].tolist())
+            _set(handle, "color", colour)
+        for k, (handle, _) in self._points.items():
+            _set(handle, "visible", bool(points[k, 0]) if len(points) else False)
 
     def _show_arrows(self, name, points, colour, size=None):
         """Arrows from and to points (k, 2, 3); size : m, by which they are thick; None: of the mechanism."""

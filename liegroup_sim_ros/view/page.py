@@ -7,7 +7,6 @@ import threading
 import time
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from liegroup_core.errors import LieGroupSimError
 from liegroup_sim_ros.messages.touching import planes
@@ -34,8 +33,7 @@ LATE = 50  # views, ten seconds of them, that a slow browser may tell of late
 SAME_VIEW = 1e-3  # of the mechanism: a camera that is elsewhere was moved by the user
 SKY, EARTH, BRIGHT = (255, 255, 255), (140, 140, 140), 2.2  # light from above and below
 MOST_TRIANGLES = 200_000  # of all visuals; they are sent once
-FLOOR, FADES = 4.0, 20.0  # size of the grid, and where that of a contact's plane ends, relative to the mechanism
-LEVEL = 0.999  # cosine of the slope of a plane that has a grid
+FLOOR = 4.0  # size of the grid, relative to the mechanism
 
 
 class Page:
@@ -247,15 +245,7 @@ class Page:
         cell = 10.0 ** math.floor(math.log10(size))
         plane = {0: "yz", 1: "xz", 2: "xy"}[int(np.abs(up).argmax())]
         ground = up * min(0.0, lowest) if abs(lowest) < 5.0 * size else up * lowest
-        grounds = planes(layout.scene, middle)
-        for k, (point, turn) in enumerate(grounds):
-            if turn[:, 2] @ up < LEVEL:  # grids that cross would hide where one plane ends
-                continue
-            server.scene.add_grid(
-                f"/plane{k}", infinite_grid=True, cell_size=0.5 * cell, section_size=cell, fade_distance=FADES * size,
-                position=point, wxyz=np.roll(Rotation.from_matrix(turn).as_quat(), 1),
-            )  # fmt: skip
-        if not grounds:
+        if not planes(layout.scene, middle):
             server.scene.add_grid(
                 "/ground", FLOOR * size, FLOOR * size, plane=plane, cell_size=0.5 * cell, section_size=cell,
                 position=tuple(middle - up * (middle @ up) + ground), plane_opacity=0.0,
