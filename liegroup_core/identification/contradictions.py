@@ -2,10 +2,10 @@
 """What a model lacks: effects that would explain the residuals of a log, each with its size and share.
 
 An effect is a small change of the model: friction, drag, cogging, a spring, rotor inertia or a constant effort at a
-joint, a scaled or lagging commanded effort, more mass of a body, a force on one that floats, an offset or a scale of a
-measurement, a late clock. Its column is the change of the weighted outputs and of the ends of segments. These are near
-to the measurements, so that columns are nearly those of the machine; their starts are tied, so that small effects add
-up along the log. What starts, delays and numbers explain is projected out of residuals and columns: the sum of squares
+joint, a scaled or lagging commanded effort, another number of a contact, more mass of a body, a force on one that
+floats, an offset or a scale of a measurement, a late clock. Its column is the change of the weighted outputs and of the
+ends of segments. These are near to the measurements, so that columns are nearly those of the machine; their starts are
+tied, so that small effects add up along the log. What starts, delays and numbers explain is projected out of residuals and columns: the sum of squares
 that an effect takes away is a score test. Effects are selected one after the other.
 """
 
@@ -35,6 +35,7 @@ UNTOLD, HIDDEN_PART = 0.01, 0.1
 WAVES = (1, 2, 3, 4, 5, 6, 7, 8, 10, 12, 14, 16, 20, 24)  # of cogging, a turn
 LAG_TIMES = (2e-3, 1e-2, 5e-2)  # s
 LAGS = 20  # of the test of whiteness
+NUMBERS = {"friction": "1", "stiffness": "N/m", "sinks": "m", "damping": "s/m", "restitution": "1"}  # of contacts
 BINS = 8  # of an effort as a function of the motion or of time
 # Standard deviations, by the root of the count: of an rms, and of it by the noise that third differences give. The
 # median of absolute values has an efficiency of 0.37, and third differences are correlated.
@@ -415,6 +416,12 @@ class Effects:
                     (f"second-order lag of {given.name} by {1e3 * lag:g} ms", "1", "lag", (k, lag), SMALL)
                     for lag in LAG_TIMES
                 ]
+        for force in scene.forces:
+            for key in NUMBERS if force.type == "contact" else ():
+                if value := getattr(force, key):
+                    # Numbers below 1, such as a restitution, have no others above.
+                    item = f"{key} of {force.name}", NUMBERS[key], "number", f"forces.{force.name}.{key}"
+                    found.append((*item, -SMALL * value))
         small = SMALL * sum(body.mass for body in scene.bodies)
         found += [(f"mass of {body.name}", "kg", "mass", body.name, small) for body in scene.bodies]
         for body in floating(self._machine.layout):

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs with effects that a model may lack: forces along the fitted motion, and inputs that act otherwise."""
+"""Runs with effects that a model may lack: forces along the fitted motion, inputs and numbers of contacts changed."""
 
 from dataclasses import replace
 
 import numpy as np
 
-from liegroup_core.errors import SimulationError
+from liegroup_core.errors import SceneError, SimulationError
 
 AXES = ("x", "y", "z")  # of the world
 VARIABLES = ("position", "velocity", "time")  # on which an effort may depend
@@ -22,6 +22,8 @@ class Forced:
         machine, point = self._runs.machine(self._point.values), self._point
         segments, extras = self._runs.segments(point), None
         try:
+            if kind == "number":
+                return self._runs.with_number(point, of, size)
             if kind in ("scale", "lag"):
                 k, *lag = of
                 rows = (
@@ -34,7 +36,7 @@ class Forced:
                 pairs = zip(segments, point.states)
                 extras = [size * self._extra(machine, *pair, kind, of) for pair in pairs]
             return self._runs.along(machine, segments, point.states, point.halves, extras=extras)
-        except SimulationError:
+        except (SimulationError, SceneError):
             return None
 
     def _extra(self, machine, segment, state, kind, of):

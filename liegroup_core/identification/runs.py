@@ -189,6 +189,15 @@ class Runs:
         states = [other.follow(machine, state) for state in point.states]
         return way, self.along(other, self.segments(point), states, point.halves)
 
+    def with_number(self, point, path, change):
+        """As `base`, with a number of the scene, by its path, changed. Raises SceneError, SimulationError."""
+        machine = self.machine(point.values)
+        numbers = Numbers(machine.layout.scene, [path])
+        scene, factors = numbers.scene_at(numbers.values + change), self.numbers.factors(point.values)
+        other = Machine(scene, self.log, self.longest, self._in_space, self._turns, factors)
+        states = [other.follow(machine, state) for state in point.states]
+        return self.along(other, self.segments(point), states, point.halves)
+
     def _beside(self, values, k):
         """(1 or -1, Machine) with number k changed by CHANGE times its scale; it may be at the edge of its range."""
         for way in (1.0, -1.0):

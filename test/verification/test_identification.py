@@ -637,17 +637,25 @@ bodies:
 forces:
   - {name: floor, type: contact, body: ball, stiffness: STIFF, damping: DAMPS, friction: RUBS, slip: 1.0e-4}
 """
+SLED = """
+name: sled
+gravity: [0, 0, -9.81]
+bodies: [{name: sled, shape: {type: box, size: [0.4, 0.3, 0.1], mass: 2}, position: [0, 0, 0.0475],
+          linear_velocity: [3, 0, 0]}]
+forces: [{name: floor, type: contact, body: sled, sinks: 1.0e-2, restitution: 0.1, friction: RUBS, slip: 1.0e-4}]
+"""
 
 
-def ball_log(truth, seconds, noise=(1e-3, 1e-3)):
-    """Log of the pose of the ball with numbers, and a noise in m and rad."""
-    text, rng, times = CONTACT, np.random.default_rng(1), np.arange(0.0, seconds + 1e-9, 0.01)
+def pose_log(truth, seconds, text=CONTACT, noise=1e-3):
+    """Log of the pose of a body with numbers, and a noise in m and rad."""
+    rng, times = np.random.default_rng(1), np.arange(0.0, seconds + 1e-9, 0.01)
     for key, value in truth.items():
         text = text.replace(key, repr(value))
-    names = tuple(f"ball.{part}" for part in ("x", "y", "z", "rx", "ry", "rz"))
-    poses = [sample.pose[0] for sample in Simulation(scene_from_text(text), accuracy=1e-9, quiet=True).samples(times)]
+    scene = scene_from_text(text)
+    names = tuple(f"{scene.bodies[0].name}.{part}" for part in ("x", "y", "z", "rx", "ry", "rz"))
+    poses = [sample.pose[0] for sample in Simulation(scene, accuracy=1e-9, quiet=True).samples(times)]
     turns = Rotation.from_matrix(np.array(poses)[:, :9].reshape(-1, 3, 3)).as_rotvec()
-    values = np.hstack([np.array(poses)[:, 9:], turns]) + np.repeat(noise, 3) * rng.normal(size=(len(times), 6))
+    values = np.hstack([np.array(poses)[:, 9:], turns]) + noise * rng.normal(size=(len(times), 6))
     return Log((), (Measured("/mocap", times, names, values, np.full(6, np.inf), delay=0.0),))
 
 
@@ -669,11 +677,22 @@ def test_numbers_of_contacts_are_found(truth, wrong, names):
     text = CONTACT
     for key, value in (truth | wrong).items():
         text = text.replace(key, repr(value))
-    found = identify(scene_from_text(text), ball_log(truth, 0.5 if truth["SPEED"] else 1.0), names, workers=1)
+    found = identify(scene_from_text(text), pose_log(truth, 0.5 if truth["SPEED"] else 1.0), names, workers=1)
     true = np.array([truth[key] for key in wrong])
     assert (np.abs(found.values - true) < 4.0 * found.deviations).all()
     assert (found.deviations < 0.02 * true).all()
     assert found.comparison.solution.reduced < 1.5
+
+
+@pytest.mark.turn(2)
+def test_friction_of_a_contact_that_is_too_low_is_named():
+    """A box slides all the time, so that its motion is linear in friction: as of a force along its way."""
+    scene = scene_from_text(SLED.replace("RUBS", "0.1"))
+    found = compare(scene, pose_log({"RUBS": 0.3}, 0.2, SLED), workers=1)
+    equal = [each for each in found.alone if each.share > 0.98 * found.effects[0].share]
+    (own,) = [each for each in equal if each.text == "friction of floor"]
+    assert abs(own.value - 0.2) < 4.0 * own.deviation < 0.1
+    assert "friction of floor" in found.verdict.lower() and not found.agrees
 
 
 def test_components_that_never_change_have_the_noise_of_their_vector():
