@@ -20,7 +20,7 @@ Two bodies have their reduced mass. With the mass of a whole robot, explicit ste
 the square root of the ratio of both masses.
 It is written as formulas of a law (law.py), so touching, leaving, slip and stick are events of the methods with error
 control, and derivatives, snapshots, estimates and the reference integration are those of laws. A bristle keeps its
-place while nothing touches; that is at most 1.6 times the length s.
+place while nothing touches; that is at most 1.6 n times the length s, 1.6 s under the load.
 
 From a restitution e at the speed v of an impact follows c: with a = c v, a - ln(1 + a) = -e a - ln(1 - e a), which a
 free mass leaves with the speed e v whatever k and the mass are (Hunt and Crossley, J. Appl. Mech. 42, 1975).
@@ -64,6 +64,12 @@ SHORT = 1e-3  # of a radius; at least the depth under the load, see `_touch_each
 # while they are near. Bodies pass in a distance p along sqrt(p^2 + x^2), and points turn along r cos(x / r), whose
 # polynomials of degree five between -p/8 and p/8 have errors of about 1e-8 p.
 LOOK = 0.25
+# Least depth at rest by the coordinates: with round-off of 2.2e-16 of these the force is right to a thousandth.
+RESOLVED = 1e3 * np.finfo(float).eps
+TIMES = 1e-9, 1e5  # s, sqrt(mass / stiffness): clocks have whole ns; and a contact that acts within a day
+MOST_FRICTION = 100.0  # a slope of 89.4 degrees
+MOST_DAMPING = 1e6  # s/m: a point enters with 1 um/s at most, where the force k d (1 + c d') doubles
+MOST_SETTLES = 1e3  # of sqrt(mass / stiffness of the friction): beyond, friction is that of a fluid
 WORK = "work"  # state of the law of a contact: what it did on the bodies, J. Its scale is that of `load` along 1 m
 
 
@@ -128,6 +134,16 @@ class Plane(Described):
     point: Vector3 = Field((0.0, 0.0, 0.0), description="a point of it in m, world axes")
     normal: Direction = Field((0.0, 0.0, 1.0), description="direction in which it pushes, world axes")
 
+    @property
+    def unit(self):
+        """(3,) unit normal."""
+        return np.array(self.normal) / math.hypot(*self.normal)
+
+    @property
+    def height(self):
+        """Distance of the origin of the world along minus the normal, m."""
+        return float(self.unit @ np.array(self.point))
+
 
 CONTACT_SHAPES = (ContactSphere, ContactCapsule, ContactCylinder, ContactBox, ContactHull)
 AnyShape = one_of(CONTACT_SHAPES)
@@ -167,13 +183,16 @@ class Contact(Force):
                 text = f"{one} is missing: give {one} or {other}" if not given else f"{one} and {other}: keep one"
                 raise SceneError(text, place=(given or [one])[:1])
         if self.restitution is not None and not 0.01 <= self.restitution <= 1.0:
-            raise SceneError("restitution must be from 0.01 to 1", place=("restitution",))
+            raise SceneError(f"restitution must be from 0.01 to 1, got {self.restitution:g}", place=("restitution",))
         if self.other is not None and "plane" in self.model_fields_set:
             raise SceneError("plane and other: keep one", place=("plane",))
         if self.other == self.body:
             raise SceneError("other must be another body", place=("other",))
         if self.other is None and self.other_shape is not None:
             raise SceneError("other is missing: name the body that has other_shape", place=("other_shape",))
+        for key, needs in (("slip", "friction"), ("settles", "friction"), ("speed", "restitution")):
+            if key in self.model_fields_set and needs not in self.model_fields_set:
+                raise SceneError(f"{key} has no effect without {needs}: give {needs} or remove {key}", place=(key,))
         if self.friction and self.slip is None and self.sinks is None:
             raise SceneError("slip is missing: friction yields by this length in m until it slides", place=("slip",))
         return self
@@ -199,6 +218,74 @@ class Contact(Force):
             raise SceneError("load is missing: without gravity give it, or stiffness", place=("load",))
         mass = 1.0 / sum(1.0 / bodies[name].mass for name in self.on_bodies({}))
         self._given = shapes, load, mass
+        self._check_range(bodies, gravity)
+
+    def _check_range(self, bodies, gravity):
+        """Raise SceneError where numbers are beyond what double precision resolves, or what a contact can mean."""
+        shapes, load, mass = self._given
+        own = [bodies[name] for name in self.on_bodies({})]
+        key, numbers = "stiffness" if self.sinks is None else "sinks", self.numbers
+        stiffness = numbers["stiffness"]
+        sizes = [math.hypot(*shape.position) + _around(shape)[1] for shape in shapes]
+        near = abs(self.plane.height) if self.other is None else max(math.hypot(*body.position) for body in own)
+        far = near + max(sizes)
+        least, weight = RESOLVED * far, gravity * sum(body.mass for body in bodies.values()) or load
+
+        def check(is_right, key, text):
+            if not is_right:
+                raise SceneError(text, place=(key,))
+
+        time, number = math.sqrt(mass / stiffness), f"{key} {getattr(self, key):.3g}"
+        if "load" in self.model_fields_set and self.sinks is not None:
+            number += f" under the load {load:.3g} N"
+        check(
+            not weight or weight / stiffness >= least,
+            key,
+            f"{number} gives a depth of {weight / stiffness:.2g} m at rest; double precision resolves {least:.2g} m at "
+            f"coordinates of {far:.2g} m: give {'a larger sinks' if self.sinks is not None else 'a smaller stiffness'}",
+        )
+        check(
+            TIMES[0] <= time <= TIMES[1],
+            key,
+            f"{number} lets a contact of {mass:.3g} kg take {time:.2g} s, sqrt(mass / stiffness); this must be from "
+            f"{TIMES[0]:g} to {TIMES[1]:g} s: change {key}{' or load' if self.sinks is not None else ''}",
+        )
+        depth, most = mass * gravity / stiffness, 2.0 * min(sizes)
+        check(
+            self.sinks is None or not most or depth <= most,
+            key,
+            f"{number} lets the body sink {depth:.2g} m by its own weight, more than the size of the shape, "
+            f"{most:.2g} m: give a smaller depth, in m",
+        )
+        check(
+            numbers["damping"] <= MOST_DAMPING,
+            "damping" if self.restitution is None else "speed",
+            f"damping must be at most {MOST_DAMPING:g} s/m, got {numbers['damping']:.3g}"
+            + ("" if self.restitution is None else f" of restitution at a speed of {self.speed:.3g} m/s"),
+        )
+        if not self.friction:
+            return
+        check(
+            self.friction <= MOST_FRICTION,
+            "friction",
+            f"friction must be at most {MOST_FRICTION:g}, a slope of 89.4 degrees, got {self.friction:.3g}",
+        )
+        slip, limit = numbers["slip"], 2.0 * max(sizes) or math.inf
+        yields = slip if not weight else min(slip, weight * slip / (self.friction * (load or weight)))
+        check(
+            least <= yields and slip <= limit,
+            "friction" if self.slip is None else "slip",
+            f"friction yields by a slip of {slip:.2g} m{'' if self.slip else ' (friction times sinks)'}; it must be "
+            f"from {least:.2g} m, which double precision resolves, to the size of the shape, {limit:.2g} m: "
+            "change slip",
+        )
+        longest = MOST_SETTLES * math.sqrt(mass * slip / (self.friction * load)) if load else math.inf
+        check(
+            self.settles is None or self.settles <= longest,
+            "settles",
+            f"settles must be at most {longest:.2g} s, {MOST_SETTLES:g} times sqrt(mass / stiffness of the friction), "
+            f"got {self.settles}",
+        )
 
     def _shape(self, bodies, key, name):
         shape = getattr(self, key) or bodies[name].shape
@@ -239,9 +326,7 @@ class Contact(Force):
             radius = max(getattr(shape, "radius", 0.0) for shape in shapes)
             short = max(SHORT * radius, load / self.numbers["stiffness"])
             return _touch_each_other(found, (self.body, self.other), shapes, short)
-        normal = np.array(self.plane.normal) / math.hypot(*self.plane.normal)
-        height = float(normal @ np.array(self.plane.point))
-        return _touch_plane(found, self.body, shapes[0], rotation_z_to(normal), height)
+        return _touch_plane(found, self.body, shapes[0], rotation_z_to(self.plane.unit), self.plane.height)
 
     def on_bodies(self, child_of):
         """Names of the bodies that it reads or acts on."""

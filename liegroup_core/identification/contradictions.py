@@ -5,8 +5,8 @@ An effect is a small change of the model: friction, drag, cogging, a spring, rot
 joint, a scaled or lagging commanded effort, another number of a contact, more mass of a body, a force on one that
 floats, an offset or a scale of a measurement, a late clock. Its column is the change of the weighted outputs and of the
 ends of segments. These are near to the measurements, so that columns are nearly those of the machine; their starts are
-tied, so that small effects add up along the log. What starts, delays and numbers explain is projected out of residuals and columns: the sum of squares
-that an effect takes away is a score test. Effects are selected one after the other.
+tied, so that small effects add up along the log. What starts, delays and numbers explain is projected out of residuals
+and columns: the sum of squares that an effect takes away is a score test. Effects are selected one after the other.
 """
 
 from dataclasses import dataclass
@@ -419,7 +419,7 @@ class Effects:
         for force in scene.forces:
             for key in NUMBERS if force.type == "contact" else ():
                 if value := getattr(force, key):
-                    # Numbers below 1, such as a restitution, have no others above.
+                    # Downwards: a restitution of 1 has none above.
                     item = f"{key} of {force.name}", NUMBERS[key], "number", f"forces.{force.name}.{key}"
                     found.append((*item, -SMALL * value))
         small = SMALL * sum(body.mass for body in scene.bodies)

@@ -93,7 +93,7 @@ class Touching:
         return starts, own[:, 9:] + starts + np.where(self._arms < 0, self._numbers, registers[self._arms, 0])
 
     def pressing(self, registers, pose):
-        """(m, 5) of each point: whether it presses, x, y, z in m, world axes, and whether it slips, as without friction.
+        """(m, 5) of each point: whether it presses, x, y, z in m, world axes, and if it slips, as without friction.
 
         Arguments as of `at`.
         """

@@ -86,7 +86,9 @@ class Markers:
         for i in range(len(contacts)):
             _add(template, "contacts", i, ARROW, world_frame, (SHAFT * largest, HEAD * largest, 0.0), CONTACT_COLOR)
         if points:
-            _add(template, "points", 0, SPHERES, world_frame, (2.0 * POINT * largest,) * 3, CONTACT_COLOR, points=points)
+            _add(
+                template, "points", 0, SPHERES, world_frame, (2.0 * POINT * largest,) * 3, CONTACT_COLOR, points=points
+            )
 
     def encode(self, stamp_ns, sample):
         """The serialized message."""

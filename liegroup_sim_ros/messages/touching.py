@@ -25,8 +25,7 @@ def planes(scene, near):
     found = {}
     for force in scene.forces:
         if force.type == "contact" and force.other is None:
-            normal = np.array(force.plane.normal) / math.hypot(*force.plane.normal)
-            height = float(normal @ force.plane.point)
+            normal, height = force.plane.unit, force.plane.height
             point = near + (height - float(normal @ near)) * normal
             found[(*normal.round(9).tolist(), round(height, 9))] = point, rotation_z_to(normal)
     return list(found.values())

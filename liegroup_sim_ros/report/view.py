@@ -125,7 +125,7 @@ def make_view(analysis, shapes=None):
 
 
 def _contacts(layout, stretches, rows, owner, scale):
-    """(k, c, 2, 3) `arrows` of the samples `rows` (k,) of the stretches `owner` (k,), and [(p, 4)] points that press."""
+    """(k, c, 2, 3) `arrows` of the samples `rows` (k,) of the stretches `owner` (k,), and [(p, 4)] points."""
     found, points = np.full((len(rows), len(layout.touching.names), 2, 3), np.nan), []
     for k, (row, stretch) in enumerate(zip(rows, owner) if found.size else ()):
         sample = sample_of(layout, stretches[stretch], row)

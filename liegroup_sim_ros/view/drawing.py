@@ -19,7 +19,6 @@ from .boxes import Boxes
 from .server import mover
 
 
-
 def _bytes(colour):
     return tuple(round(255.0 * part) for part in colour)
 
@@ -225,7 +224,9 @@ class Drawing:
             _set(self._touches[k], "visible", presses)
             if presses:
                 self._movers[len(place) + k][0](start.tolist())
-                self._show_arrows(f"touch{k}/force", np.array([[np.zeros(3), tip - start]]), CONTACT, self._radius / THICK)
+                self._show_arrows(
+                    f"touch{k}/force", np.array([[np.zeros(3), tip - start]]), CONTACT, self._radius / THICK
+                )
         self._show_points(sample.pressing if look.contacts else np.empty((0, 5)))
         self._arrows("gravity", centres, self._weights, GRAVITY, look.gravity)
         starts, forces = self._reactions(sample) if look.reactions else (np.empty((0, 3)), np.empty((0, 3)))

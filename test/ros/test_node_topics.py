@@ -211,6 +211,9 @@ def test_a_contact_is_a_wrench_an_arrow_and_figures(client, node):
     place = Rotation.from_quat([q.x, q.y, q.z, q.w]).apply([0.3, -0.1, 0.0]) + [p.x, p.y, p.z]
     ends = np.array([[end.x, end.y, end.z] for end in arrow.points])
     assert arrow.action == Marker.ADD and ends == pytest.approx(np.array([place, place + [0.0, 0.4, 0.0]]), abs=1e-9)
+    (points,) = (m for m in markers if m.ns == "points")
+    assert points.action == Marker.ADD and points.type == Marker.SPHERE_LIST and len(points.colors) == 1
+    assert [points.points[0].x, points.points[0].y, points.points[0].z] == pytest.approx(place.tolist(), abs=1e-9)
     q, p = plane.pose.orientation, plane.pose.position
     up = Rotation.from_quat([q.x, q.y, q.z, q.w]).apply([0.0, 0.0, 0.5 * plane.scale.z])
     assert up == pytest.approx([0.0, 0.5 * plane.scale.z, 0.0]) and p.y + up[1] == pytest.approx(0.3)

@@ -436,7 +436,8 @@ def test_a_node_with_a_contact_is_shown(client, tmp_path):
             page._drawing._handles.pop("touch0/force", None)
             client.until(lambda: "touch0/force" in page._drawing._handles, "an arrow")
             frame, (begin, tip) = source.frame(), page._drawing._handles["touch0/force"].points[0]
-            shown = page._drawing._touches[0].visible
+            shown, points = page._drawing._touches[0].visible, page._drawing._points
+            places = np.array([handle.position for handle, _ in points.values() if handle.visible])
         finally:
             page.stop()
             source.close()
@@ -454,7 +455,8 @@ def test_a_node_with_a_contact_is_shown(client, tmp_path):
     point, found = frame.sample.contact_forces[0]
     assert abs(point @ (math.sin(0.2), 0.0, math.cos(0.2))) < 3e-4  # it sinks 0.25 mm
     assert found == pytest.approx([0.0, 0.0, weight], abs=1e-5)
-    assert shown and not begin.any() and tip == pytest.approx([0.0, 0.0, 0.75 * page._drawing.size], abs=1e-5)
+    assert np.abs(places @ (math.sin(0.2), 0.0, math.cos(0.2))).max() < 1e-3 and len(places) == 4  # corners
+    assert shown and not begin.any() and tip == pytest.approx([0.0, 0.0, 2.0 * 0.3], abs=1e-5)
 
 
 @pytest.mark.parametrize("width, height", [(1280, 800), (390, 844)])

@@ -19,6 +19,7 @@ from liegroup_core.linear import linearise, modes_of, sensitivities
 from liegroup_core.reports import explain
 from liegroup_core.scene.load import scene_from_text
 from liegroup_core.status import NOT_FINITE
+from liegroup_sim_ros.messages.touching import patches
 
 G, RADIUS = 9.81, 0.1
 BALL = "{name: ball, shape: {type: sphere, radius: 0.1, mass: 2}, position: [0, 0, %s], linear_velocity: [%s, 0, %s]}"
@@ -735,11 +736,52 @@ def test_derivatives_of_a_bounce_are_those_of_its_closed_form():
             "^test:6: .*other is missing: name the body that has other_shape",
         ),
         ("stiffness: 1, damping: 1, shape: {type: hull, points: []}", "must be 1 to 64 points"),
+        (
+            "sinks: 1e-300, damping: 1",
+            "sinks 1e-300 gives a depth of 1e-300 m at rest; double precision resolves 2.2e-14",
+        ),
+        ("sinks: 1e-3, damping: 1, plane: {point: [0, 0, 1e18]}", "at coordinates of 1e.18 m: give a larger sinks"),
+        ("sinks: 1e-3, load: 1e90, damping: 1", "sinks 0.001 under the load 1e.90 N gives a depth of 2e-92 m"),
+        ("sinks: 1e-3, load: 1e-20, damping: 1", "must be from 1e-09 to 100000 s: change sinks or load"),
+        ("stiffness: 1e-300, damping: 1", "must be from 1e-09 to 100000 s: change stiffness"),
+        (
+            "sinks: 5, damping: 1",
+            "sinks 5 lets the body sink 5 m by its own weight, more than the size of the shape, 0.2",
+        ),
+        (
+            "sinks: 1e-3, restitution: 0.5, speed: 1e-9",
+            "damping must be at most 1e.06 s/m, got 1.43e.09 of restitution",
+        ),
+        ("sinks: 1e-3, damping: 1, friction: 1e3", "friction must be at most 100"),
+        ("sinks: 1e-3, damping: 1, friction: 1, slip: 1e-20", "slip of 1e-20 m; it must be from 2.2e-14 m"),
+        ("sinks: 1e-3, damping: 1, friction: 1, settles: 1e9", "settles must be at most"),
+        ("sinks: 1e-3, damping: 1, slip: 1e-4", "slip has no effect without friction"),
     ],
 )
 def test_a_wrong_contact_is_refused_in_one_line(change, reason):
     with pytest.raises(SceneError, match=reason):
         ball(change)
+
+
+def test_points_that_press_are_known_and_planes_are_drawn_around_them():
+    """A box of 2 kg that stands, and a ball that skids; the patch of z = 0 is below a box about both."""
+    bodies = [
+        "{name: box, shape: {type: box, size: [0.4, 0.3, 0.2], mass: 2}, position: [0, 0, 0.1]}",
+        "{name: ball, shape: {type: sphere, radius: 0.1, mass: 2}, position: [1, 0, 0.1], linear_velocity: [1, 0, 0]}",
+    ]
+    keys = "sinks: 1e-3, restitution: 0.1, friction: 0.3"
+    made = scene(bodies, [f"name: a, body: box, {keys}", f"name: b, body: ball, {keys}"])
+    simulation = Simulation(made, accuracy=1e-6, quiet=True)
+    simulation.advance_to(0.05)  # it rolls from 2 v / 7 mu g = 0.097 s on
+    sample = simulation.sample()
+    points = sample.pressing[sample.pressing[:, 0] == 1.0, 1:]
+    assert_allclose(points[:4, :2], [(x, y) for x in (-0.2, 0.2) for y in (-0.15, 0.15)], atol=1e-9)
+    assert_allclose(points[4, :2], sample.pose[1, 9:11], atol=1e-12)
+    assert points[:, 3].tolist() == [0.0, 0.0, 0.0, 0.0, 1.0] and len(sample.pressing) == 9
+    (patch,) = patches(made, np.array([-0.2, -0.15, 0.5]), np.array([1.1, 0.15, 1.0]))
+    # Of the long side 1.3 m there is a tenth more; the other one is half as wide.
+    assert_allclose(np.sort(np.ptp(patch, axis=0)), [0.0, 0.65, 1.43], rtol=1e-6)
+    assert_allclose(patch.mean(axis=0), [0.45, 0.0, 0.0], atol=1e-9)
 
 
 @pytest.mark.parametrize("step, told", [(0.02, True), (0.002, False)])
