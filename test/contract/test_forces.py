@@ -105,7 +105,8 @@ class State:
         described = EXAMPLES[kind] if described is None else described
         for each in described:
             if kind == "contact":
-                each.complete({name: SimpleNamespace(mass=1.0, shape=None) for name in BODIES}, (0.0, 0.0, -9.81))
+                body = SimpleNamespace(mass=1.0, shape=None, position=(0.0, 0.0, 0.0))
+                each.complete(dict.fromkeys(BODIES, body), (0.0, 0.0, -9.81))
         counted = kinds.unwrapped(described, turning=ON_JOINTS, sensors=sensors)
         self.forces = kinds.make_forces(described, INDEX, ends, counted, sensors=sensors)
         self.angle = np.full(kinds.count(self.forces), 0.2)  # states of laws
