@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Contacts compared with Drake's continuous plant: CPU time against error, and the estimate of the error.
 
-    python benchmarks/contacts.py [bodies | same | robots] [--json FILE]
+    python benchmarks/contacts.py [bodies | same | robots | drop] [--json FILE]
 
     ball     it skids on a plane and then rolls
     box      on four spheres it is thrown on a plane, tumbles and comes to rest
@@ -13,9 +13,12 @@ Hunt and Crossley; of two surfaces it has two springs in series. Without frictio
 compared with itself at the tightest accuracy: Drake at 1e-10, where its radau3 agrees to 3e-10. Drake
 (`pip install drake`) is omitted if it is not installed.
 
-MuJoCo is no peer: its force depends on the acceleration without contact. Of a ball that drops it begins, at a depth of
-zero, with the part solimp of the weight, 4.9 N of 9.8 N with 0.5, whatever solref is; only without gravity it is a
-spring from zero.
+    drop     a ball drops 0.2 m and bounces without friction, dissipation 0.1 s/m, also in Exudyn (`pip install exudyn`)
+
+Exudyn's Hunt-Crossley model has the dissipation 3 (1 - e) / 2 v of an impact speed v, at least `minimumImpactVelocity`:
+with one above all speeds it is the same law. MuJoCo is no peer: its force depends on the acceleration without contact.
+Of a ball that drops it begins, at a depth of zero, with the part solimp of the weight, 4.9 N of 9.8 N with 0.5,
+whatever solref is; only without gravity it is a spring from zero.
 """
 
 import argparse
@@ -29,6 +32,7 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 from rich.table import Table
+from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from liegroup_core import Simulation
@@ -159,6 +163,66 @@ def of_same():
     return rows
 
 
+def of_drop():
+    """[(program, accuracy or step in s, CPU ms per s, error of the height in m)] after 0.5 s, against SciPy."""
+
+    def rates(_, y):
+        return [y[1], max(0.0, 1e5 * (0.1 - y[0]) * (1.0 - 0.1 * y[1])) * (y[0] < 0.1) - 9.81]
+
+    exact = solve_ivp(rates, (0.0, 0.5), [0.3, 0.0], "DOP853", rtol=1e-12, atol=1e-13, max_step=1e-5).y[0, -1]
+    text = BALL[0].replace("0.1], linear_velocity: [2, 0, 0]", "0.3]"), BALL[1][0].replace(SLIDES, "")
+    text = "\n".join(["name: drop\ngravity: [0, 0, -9.81]\nbodies:", text[0], "forces:", text[1]])
+    made, rows = scene_from_text(text.replace("damping: 1", "damping: 0.1"), "drop"), []
+
+    def timed(run):
+        pairs = [run() for _ in range(ROUNDS)]
+        return 2e3 * min(spent for spent, _ in pairs), abs(pairs[0][1] - exact)
+
+    def own(accuracy):
+        simulation = Simulation(made, accuracy=accuracy, quiet=True)
+        simulation.advance_to(1e-9)
+        start = time.process_time()
+        simulation.advance_to(0.5)
+        return time.process_time() - start, simulation.sample().pose[0, 11]
+
+    rows = [("here", accuracy, *timed(lambda: own(accuracy))) for accuracy in ACCURACIES]
+    if importlib.util.find_spec("exudyn") is not None:
+        for name, step in itertools.product(("RK44", "TrapezoidalIndex2"), (1e-3, 1e-4, 1e-5)):
+            rows.append((f"Exudyn {name}", step, *timed(lambda: of_exudyn(name, step))))
+    return rows
+
+
+def of_exudyn(solver, step):
+    """(CPU s, height in m) of the ball of `of_drop` after 0.5 s."""
+    import exudyn
+    from exudyn import utilities as items
+
+    system = exudyn.SystemContainer().AddSystem()
+    ground = system.AddObject(items.ObjectGround(referencePosition=[0, 0, -1]))
+    ball = system.CreateRigidBody(
+        referencePosition=[0, 0, 0.3], inertia=items.InertiaSphere(1, 0.1), gravity=[0, 0, -9.81],
+        nodeType=exudyn.NodeType.RotationRotationVector,
+    )  # fmt: skip
+    system.AddObject(
+        items.ObjectContactSphereSphere(
+            markerNumbers=[system.AddMarker(items.MarkerBodyRigid(bodyNumber=body)) for body in (ground, ball)],
+            nodeNumber=system.AddNode(
+                items.NodeGenericData(initialCoordinates=[0.1, 0, 0, 0], numberOfDataCoordinates=4)
+            ),
+            spheresRadii=[1, 0.1], contactStiffness=1e5, impactModel=1, restitutionCoefficient=0.5,
+            minimumImpactVelocity=7.5,
+        )
+    )  # fmt: skip
+    position = exudyn.OutputVariableType.Position
+    system.Assemble()
+    settings = exudyn.SimulationSettings()
+    settings.timeIntegration.endTime, settings.timeIntegration.numberOfSteps = 0.5, round(0.5 / step)
+    settings.timeIntegration.verboseMode, settings.solutionSettings.writeSolutionToFile = 0, False
+    start = time.process_time()
+    system.SolveDynamic(settings, solverType=getattr(exudyn.DynamicSolverType, solver))
+    return time.process_time() - start, system.GetObjectOutputBody(ball, position)[2]
+
+
 def robot_scene(path, srdf, links, folder):
     """Scene of a robot above the ground, with servos and a law whose state is their work and that of dampers."""
     pose, robot = "", read_robot(path, srdf or None, {})
@@ -245,6 +309,7 @@ def of_bodies():
 COLUMNS = {
     "bodies": ("scene", "program", "accuracy", "CPU ms per s", "error, rad", "estimate, rad or of the size"),
     "same": ("scene", "accuracy", "Drake's step, us", "largest difference"),
+    "drop": ("program", "accuracy or step, s", "CPU ms per s", "error, m"),
     "robots": ("robot", "accuracy", "bodies", "points", "CPU s per s", "estimate", "J lost", "height, m"),
 }
 
@@ -264,7 +329,7 @@ def main():
             folder = Path(cmeel.origin).parents[1] / "cmeel.prefix/share/example-robot-data/robots"
         rows = of_robots(folder)
     else:
-        rows = of_same() if arguments.what == "same" else of_bodies()
+        rows = {"same": of_same, "drop": of_drop, "bodies": of_bodies}[arguments.what]()
     keys = COLUMNS[arguments.what]
     table = Table(*keys)
     for row in rows:
