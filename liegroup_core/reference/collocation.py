@@ -97,7 +97,7 @@ class CollocationSteps:
         if step < left < 2.0 * step:
             step = 0.5 * left
         for _ in range(MOST_ATTEMPTS):
-            if not step > 4.0 * EPS * abs(self.time):
+            if not step > self._shortest:
                 return False
             increments, slope, is_slow = self._stages(step, scale)
             if increments is None:
@@ -140,6 +140,11 @@ class CollocationSteps:
             return True
         return False
 
+    @property
+    def _shortest(self):
+        """Size that a step must exceed, s."""
+        return 4.0 * EPS * abs(self.time)
+
     def _seen(self, step, scale, polynomial):
         """Part of a step up to which the nodes have seen all changes of comparisons that matter; 1: all of it."""
         changes = self.surfaces.changes(self.heights)
@@ -157,7 +162,8 @@ class CollocationSteps:
         width = np.where(dips.any(axis=1), GAPS[after], width)
         away = step * slopes - 2.0 * legendre.legval(x, legendre.legder(polynomial)).T
         unseen = np.flatnonzero(np.abs(away / scale).max(axis=1) * width > self._tolerance)
-        return max(SHORTER, points[unseen[0]]) if len(unseen) else 1.0
+        part = max(SHORTER, points[unseen[0]]) if len(unseen) else 1.0
+        return part if part * step > self._shortest else 1.0
 
     def _accept(self, step, increment, polynomial, end):
         self._before, self._begin, self._polynomial, self.step = self.state, self.time, polynomial, step
