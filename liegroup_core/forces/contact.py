@@ -270,14 +270,13 @@ class Contact(Force):
             "friction",
             f"friction must be at most {MOST_FRICTION:g}, a slope of 89.4 degrees, got {self.friction:.3g}",
         )
-        slip, limit = numbers["slip"], 2.0 * max(sizes) or math.inf
+        slip = numbers["slip"]
         yields = slip if not weight else min(slip, weight * slip / (self.friction * (load or weight)))
         check(
-            least <= yields and slip <= limit,
+            least <= yields,
             "friction" if self.slip is None else "slip",
-            f"friction yields by a slip of {slip:.2g} m{'' if self.slip else ' (friction times sinks)'}; it must be "
-            f"from {least:.2g} m, which double precision resolves, to the size of the shape, {limit:.2g} m: "
-            "change slip",
+            f"friction yields by a slip of {slip:.2g} m{'' if self.slip else ' (friction times sinks)'}; double "
+            f"precision resolves {least:.2g} m: give a larger slip",
         )
         longest = MOST_SETTLES * math.sqrt(mass * slip / (self.friction * load)) if load else math.inf
         check(
