@@ -21,17 +21,16 @@ from .free_bodies import copy_bodies, copy_links
 from .trees import move_links
 
 
-def model_and_work(layout, group, options, stages, locates=False):
+def model_and_work(layout, group, options, stages, kinks=0):
     """(model, its work, Work of the bodies) of an integrator.
 
     options : "space": "auto" for the plane of a planar mechanism, or "space"
-    locates : whether it finds the times at which laws change their branches
+    kinks   : number of those of laws, from the first one on, whose times it finds
     """
     work = make_work(layout.model, stages)
     model = layout.floating(group) if group in FLOATING else layout.relative
     if options["space"] == "space" and model is layout.relative:
         model = layout.relative_in_space
-    kinks = len(layout.model.forces.laws.kinks) if locates else 0
     return model, make_relative_work(model, work, stages, kinks), work
 
 

@@ -65,8 +65,9 @@ class Switching(EventTimes):
     def __init__(self, model, work, take, step, control, lead, touching):
         super().__init__(model, work, take, step, control)
         self._lead, self._points = lead, None
-        # Without error control, branches are not known.
-        self.touching = touching if touching.names and len(work.branches) else None
+        # Without error control, not all branches are known.
+        is_known = touching.names and len(work.branches) == len(model.space.forces.laws.kinks)
+        self.touching = touching if is_known else None
         self.instants, self.count = None, 0
         self.endless = self._inputs = None
         self.tally = np.zeros(len(work.guards), dtype=int)

@@ -472,7 +472,7 @@ class _Formulas:
             signals=self._signals | shown,
             outputs=tuple(self._outputs),
         )
-        law._jumps, law._follows, law._closing = False, self._follows, self.closing
+        law._jumps, law._follows, law._bends, law._closing = False, self._follows, set(self.yields), self.closing
         return law
 
     def let(self, text):

@@ -119,6 +119,7 @@ class Program:
         self.conditions = set()  # registers that are 0 or 1, or a share
         self.constants = set()  # registers of numbers and parameters
         self.followed = set()  # numbers of instructions whose branches are always those of their arguments
+        self.bent = set()  # and of those where nothing jumps
 
     @contextlib.contextmanager
     def apart(self):

@@ -114,7 +114,7 @@ class Laws(Struct):
     shown: np.ndarray  # (p', 5) the same, with signals that no output needs
     kinks: np.ndarray  # (q, 2) those with branches that can change; register f of the block it is in, or -1
     surfaces: np.ndarray  # (s,) numbers of the kinks along which a motion can slide
-    compared: np.ndarray  # (q,) 1 for comparisons, 2 for those along which a motion can slide
+    compared: np.ndarray  # (q,) 1 where laws may jump, which are the first ones, 2 where a motion can slide
     tables: np.ndarray  # (t + 1,) first points of the tables
     points: np.ndarray  # (n, 2) their points
     outputs: np.ndarray  # (o,) of OUTPUT
@@ -281,6 +281,7 @@ class Law(Force):
     _jumps: bool = PrivateAttr(True)
     _closing: list = PrivateAttr([])  # [(signal of a depth, *CLOSING of it)]
     _follows: set = PrivateAttr(set())  # signals whose branches are always those of their arguments
+    _bends: set = PrivateAttr(set())  # signals that do not jump where their comparisons change
 
     @model_validator(mode="after")
     def _check(self):
@@ -341,6 +342,8 @@ class Law(Force):
                 signals[name] = names[name] = _compiled(program, text, names, tables, ("signals", name))
                 if name in self._follows:
                     program.followed.update(range(first, len(program.code)))
+                if name in self._bends:
+                    program.bent.update(range(first, len(program.code)))
             outputs = [
                 [_compiled(program, text, names, tables, ("outputs", k, key)) for key, text in each.formulas]
                 for k, each in enumerate(self.outputs)
@@ -509,7 +512,7 @@ class _Program(NamedTuple):
     always  : registers of the results that are computed at any time, see skipping.py;  zero : register of the number 0
     read    : {register that others in `code` read: conditions of all blocks around those};  inputs : read by `shown`
     owners  : [name] of the law of each kink
-    compared, surfaces : numbers of the kinks that are comparisons, and of those along which a motion can slide
+    compared, surfaces : numbers of the kinks where laws may jump, and of those along which a motion can slide
     """
 
     laws: list
@@ -557,8 +560,11 @@ def _compile_all(described):
     kinks = {*{program.code[i][4]: i for i in sorted(kinks, reverse=True)}.values()}
     rows, read = arrange(program.code, {*needed, *apart}, zero, program.new)
     shown, read_by_all = arrange(program.code, {*needed, *apart, *signals.values()}, zero, program.new)
-    kinks = sorted((i, at, flag) for at, (_, i, flag) in enumerate(rows) if i in kinks)
-    compared = [k for k, (i, *_) in enumerate(kinks) if program.code[i][0] in COMPARISONS]
+    # Comparisons first, as laws jump only there.
+    bends = {i for i in kinks if program.code[i][0] not in COMPARISONS} | program.bent
+    kinks = [(i, at, flag) for at, (_, i, flag) in enumerate(rows) if i in kinks]
+    kinks.sort(key=lambda kink: (kink[0] in bends, kink[0]))
+    compared = [k for k, (i, *_) in enumerate(kinks) if i not in bends]
     sliding = {law.name for law in laws if law.can_slide}
     _LAST.append(
         _Program(

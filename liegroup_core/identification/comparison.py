@@ -22,6 +22,9 @@ from .starts import LEAST, ROUGHLY, alone, first_states, has_others, shortest, s
 LEVEL = 0.95  # of intervals
 WRONG = 0.01  # probability that residuals of a right model are not found white
 SLACKS = 1.0, 1e-2, 1e-5  # of ties, one after the other
+# Of the spread of an output, one after the other: exact outputs make a narrow curved valley, which a search that begins
+# with their noise follows in small steps.
+SHARPER = 1e-2, 1e-3, 1e-4, 1e-5, 0.0
 FEW_SEGMENTS = 4  # of each recording, which show how long segments may be
 LINEAR = 0.01  # of the spread of an output: largest rms that is not noise, for effects to be linear
 # Three standard deviations of mean square minus estimated variance of n residuals that are white noise, by the variance
@@ -263,9 +266,17 @@ def _whole(fit, point):
     """Solution of one run along each recording, from given numbers on; None: it cannot be simulated."""
     spans = fit.runs.log.spans
     halves = in_short_steps(fit, continued(fit, _some(spans, shortest(fit.runs.log)), point)).halves
-    with suppress(SimulationError):
-        return fit.solve(continued(fit, _divided(spans, np.inf), replace(point, halves=halves)), ROUGHLY)
-    return None
+    try:
+        point, found = continued(fit, _divided(spans, np.inf), replace(point, halves=halves)), None
+        for part in SHARPER:
+            rough = [np.maximum(s, part * each.spread) for s, each in zip(fit.deviation, fit.runs.log.measured)]
+            if part and all(map(np.array_equal, rough, fit.deviation)):
+                continue
+            found = Fit(fit.runs, rough, fit.free, fit.limits, fit.priors, fit.workers).solve(point, ROUGHLY, found)
+            point = found.point
+    except SimulationError:
+        return None
+    return found
 
 
 def _in_turn(fit, point):

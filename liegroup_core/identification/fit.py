@@ -32,6 +32,7 @@ SAME = 1e-7  # relative decrease of the sum of squares in the last step
 CLOSE = 0.01  # of the standard deviations: last step
 AS_TOLD = 0.1  # relative difference between decreases, expected and found, up to which columns serve again
 ROUND_OFF = 1e-12
+FIXED = 1e-12  # standard deviation of what does not vary, by its scale or in s
 MOVES = 2.0  # spread of an output by its noise, from which on it shows a motion
 FIRST_DAMPING, LEAST_DAMPING = 1e-3, 1e-7
 
@@ -186,6 +187,16 @@ class Fit:
             if not is_as_told:
                 columns = None
         return self.solution(point, outputs, None, slack, False)
+
+    def solution_at(self, near, other):
+        """Solution near one whose segments are free, with the delays and numbers of other Unknowns."""
+        step = self.apart_from(near.point, other)
+        changes = [a - b for a, b in zip(near.chain.starts(step), near.chain.starts(0.0 * step))]
+        point = replace(self.moved(near.point, changes, step), delays=other.delays, values=other.values)
+        fixed = np.column_stack([other.values, FIXED * self.runs.numbers.scales])
+        late = np.column_stack([other.delays, np.full(len(self.free), FIXED)])
+        one = Fit(self.runs, self.deviation, self.free, self.limits, fixed, self.workers, late)
+        return one.solve(point, known=near)
 
     def linear_of(self, known):
         """Columns of a Solution with the present weights."""

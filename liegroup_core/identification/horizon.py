@@ -107,14 +107,12 @@ def horizons(fit, near, solution, ends=None, since=-np.inf):
             start; None: by a ratio up to the end of the longest run, and from the start
     since : s, of the first measurement that counts
     """
-    runs, step = fit.runs, fit.apart_from(near.point, solution.point)
-    shared = np.nan_to_num(solution.covariance, posinf=0.0)
-    known = near.chain.covariances(shared)
-    changes = [a - b for a, b in zip(near.chain.starts(step), near.chain.starts(0.0 * step))]
+    runs, shared = fit.runs, np.nan_to_num(solution.covariance, posinf=0.0)
     try:
-        moved = fit.moved(near.point, changes, step)
+        near = fit.solution_at(near, solution.point)
     except SimulationError:  # the numbers are far from those of `near`
         return []
+    known, moved = near.chain.covariances(shared), near.point
     finer = replace(moved, halves=moved.halves + 1)
 
     def run(k):

@@ -11,7 +11,7 @@ from .fit import Fit
 from .log import ENOUGH
 from .starts import alone, first_states
 
-ROUNDS = 3  # of fits, with the noise of the residuals of the one before
+ROUNDS = 20  # of fits, with the noise of the residuals of the one before
 UNKNOWN = 1.0  # standard deviation of a combination, relative to the numbers: above it nothing is known
 NAMED = 0.1  # of the largest weight in a combination
 

@@ -21,7 +21,8 @@ LONG = 100.0  # s, before which joints move as at the first value: delays may mo
 FINER, WIDER = 1.2, 8  # numbers of knots that are compared: ratio, and how far beyond the best one
 FEWEST = 4  # values that show a noise
 ENOUGH = 9  # third differences from which on their median is known to a third
-REPEATED = 0.05  # share of equal neighbours from which on values are rounded
+REPEATED = 0.05  # share of equal neighbours from which on values may be rounded
+WHOLE = 0.1  # off a whole number of steps: any other value is farther away than that with a probability of 0.8
 
 
 @dataclass(frozen=True, eq=False)
@@ -267,13 +268,15 @@ def joined(logs):
 def _noise(values, parts):
     """Standard deviation of white noise on smooth signals, robust against outliers and jumps.
 
-    It is at least that of rounding to the smallest step of the values, if they repeat. Parts that are too short for
-    differences are all noise.
+    It is at least that of rounding to the smallest step of the values, if they repeat and all steps are whole numbers
+    of it: values that only rest for a while are not rounded. Parts that are too short for differences are all noise.
     """
     known = values[np.isfinite(values)]
     steps = np.abs(np.diff(known))
-    rounding = steps[steps > 0.0].min(initial=np.inf) / np.sqrt(12.0)
-    resolved = rounding if len(steps) and (steps == 0.0).mean() > REPEATED and np.isfinite(rounding) else 0.0
+    least = steps[steps > 0.0].min(initial=np.inf)
+    parts_off = np.abs(steps / least - np.round(steps / least))
+    is_rounded = len(steps) and (steps == 0.0).mean() > REPEATED and np.isfinite(least) and parts_off.max() < WHOLE
+    resolved = least / np.sqrt(12.0) if is_rounded else 0.0
     parts = [part[np.isfinite(part)] for part in parts]
     third = np.concatenate([np.diff(part, 3) for part in parts])
     if len(third) >= ENOUGH:

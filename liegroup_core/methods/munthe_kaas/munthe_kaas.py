@@ -54,9 +54,11 @@ class MuntheKaas:
         self._longest = step
         self._truncated = options.get("dexpinv") == "truncated"
         stages = 1 if method.implicit else len(method.tableau.b)
-        # A step without error control may be too long for a branch that goes on beyond its end.
-        locates = method.controlled or options.get("locates", False) and len(layout.model.forces.laws.surfaces) > 0
-        self._model, self._work, self.work = model_and_work(layout, group, options, stages, locates)
+        # A step without error control may be too long for a branch that goes on beyond its end: only jumps count.
+        laws = layout.model.forces.laws
+        jumps = np.count_nonzero(laws.compared) if options.get("locates", False) else 0
+        located = len(laws.kinks) if method.controlled else int(jumps)
+        self._model, self._work, self.work = model_and_work(layout, group, options, stages, located)
         self._blocks = stages + 1 + FURTHER
         self._control = SubstepControl.make()
         self._control.most[0], self._control.dear[0], self._control.length[0] = MOST_SUBSTEPS, math.inf, 1.0
