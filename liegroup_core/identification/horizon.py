@@ -36,6 +36,8 @@ class Horizon:
     explained : (h,) rms of what the uncertainty of starts, numbers and clocks explains; inf: not linear any more
     numerical : (h,) rms of the estimated error of the integration
     starts, counts : (h,) number of runs, and of measurements
+    freedom   : (h,) degrees of freedom of the mean of the squares: as many as runs, but one of what numbers and clocks,
+                which all runs share, explain
     useful    : an error that still serves, a tenth of the spread of the output, rounded
     level     : probability of "differs" for a right model: of several outputs a share
     run       : of the longest run (r,) times in s, measured, predicted, and standard deviations of what is explained
@@ -51,6 +53,7 @@ class Horizon:
     numerical: np.ndarray
     starts: np.ndarray
     counts: np.ndarray
+    freedom: np.ndarray
     useful: float
     run: tuple
     level: float = LEVEL
@@ -75,12 +78,11 @@ class Horizon:
     def differs_from(self):
         """First time in s after which predictions are off by more than is explained; inf: they are not.
 
-        What starts explain is one number of each run: so the mean of the squares counts as that of as many numbers as
-        there are runs.
+        What starts explain is one number of each run: so the mean of the squares counts as that of few numbers.
         """
         with np.errstate(invalid="ignore"):
-            squares = self.starts * (self.error / self.expected) ** 2
-        chance = scipy.stats.chi2.sf(np.nan_to_num(squares), np.maximum(self.starts, 1))
+            squares = self.freedom * (self.error / self.expected) ** 2
+        chance = scipy.stats.chi2.sf(np.nan_to_num(squares), self.freedom)
         off = np.flatnonzero(chance < self.level / max(len(self.ahead), 1))
         return float(self.ahead[off[0]]) if len(off) else np.inf
 
@@ -112,7 +114,7 @@ def horizons(fit, near, solution, ends=None, since=-np.inf):
         near = fit.solution_at(near, solution.point)
     except SimulationError:  # the numbers are far from those of `near`
         return []
-    known, moved = near.chain.covariances(shared), near.point
+    known, given, moved = near.chain.covariances(shared), near.chain.covariances(0.0 * shared), near.point
     finer = replace(moved, halves=moved.halves + 1)
 
     def run(k):
@@ -130,7 +132,7 @@ def horizons(fit, near, solution, ends=None, since=-np.inf):
     kinds = [each.units for each in runs.machine(point.values).outputs]
     residuals = fit.residuals(point, outputs)
     segments, shown = runs.segments(point), np.zeros(len(owners))
-    explained = _explained(fit, near, segments, [(k, known[k]) for k in owners])
+    explained, own = (_explained(fit, near, segments, [(k, P[k]) for k in owners]) for P in (known, given))
     numerical, found = fit.errors(outputs, finer), []
     if ends is not None:
         shown = np.diff(near.point.bounds)[list(owners), 0]
@@ -143,9 +145,9 @@ def horizons(fit, near, solution, ends=None, since=-np.inf):
         for p, name in enumerate(each.channels):
             longest = max(range(len(times)), key=lambda k: times[k][-1] if len(times[k]) else 0.0)
             run = _run(segments[longest], each, t, p, *(of[longest] for of in (outputs, explained)))
-            parts = [[part[t][:, p] for part in of] for of in (residuals, explained, numerical)]
+            parts = [[part[t][:, p] for part in of] for of in (residuals, explained, numerical, own)]
             sigma = float(fit.deviation[t][p])
-            rows = _rows(intervals, times, *parts)
+            rows = _rows(intervals, times, sigma, *parts)
             useful = _rounded(TENTH * float(each.spread[p]))
             found.append(Horizon(name, each.name, kinds[t][p], sigma, *rows.T, useful, run))
     return [replace(each, level=LEVEL / len(found)) for each in found if len(each.ahead)]
@@ -164,23 +166,39 @@ def _run(segment, measured, t, p, outputs, explained):
     return measured.times[rows], measured.values[rows, p], outputs[t][:, p], explained[t][:, p]
 
 
-def _rows(ends, times, rest, explained, numeric):
-    """(h, 6) fields of a Horizon from `ahead` to `counts`, from [(r,)] at times after the start [(r,)]."""
+def _rows(ends, times, sigma, *parts):
+    """(h, 7) fields of a Horizon from `ahead` to `freedom`, of [(r,)] at times after the start [(r,)].
+
+    sigma : of the noise;  parts : residuals, explained, errors of the integration, explained without what runs share
+    """
     of = np.concatenate([np.full(len(at), k) for k, at in enumerate(times)])
-    at, rest, explained, numeric = map(np.concatenate, (times, rest, explained, numeric))
+    at, rest, explained, numeric, own = map(np.concatenate, (times, *parts))
     place = np.searchsorted(ends, at - 1e-9)
     rows = []
     for k, end in enumerate(ends):
         here = (place == k) & np.isfinite(rest)
         for run in np.unique(of[here]):
             # The time of an impact may be on the other side of one measurement.
-            own = np.flatnonzero(here & (of == run))
-            if len(own) > 2:
-                here[own[np.abs(rest[own]).argmax()]] = False
+            one = np.flatnonzero(here & (of == run))
+            if len(one) > 2:
+                here[one[np.abs(rest[one]).argmax()]] = False
         if here.any():
             sizes = (np.sqrt(np.mean(part[here] ** 2)) for part in (rest, explained, numeric))
-            rows.append((end, *sizes, len(np.unique(of[here])), here.sum()))
-    return np.array(rows).reshape(len(rows), 6)
+            runs = [here & (of == run) for run in np.unique(of[here])]
+            alone, whole = (np.array([np.mean(part[run] ** 2) for run in runs]) for part in (own, explained))
+            rows.append((end, *sizes, len(runs), here.sum(), _freedom(sigma**2 + alone, sigma**2 + whole)))
+    return np.array(rows).reshape(len(rows), 7)
+
+
+def _freedom(own, whole):
+    """Degrees of freedom of the sum of squares of numbers with own variances (k,), of whole ones: the rest is one cause.
+
+    Satterthwaite (1946).
+    """
+    if not np.isfinite(whole).all():
+        return 1.0
+    shared = whole - own
+    return whole.sum() ** 2 / (own @ own + 2.0 * (own @ shared) + shared.sum() ** 2)
 
 
 def _rounded(size):
@@ -233,12 +251,16 @@ def _explained(fit, near, runs, owners):
                 break
             on = np.vstack([np.hstack([tie.own, tie.shared]), np.eye(len(P))[part.own.shape[1] :]])
             P, k = on @ P @ on.T, k + 1
-        deviations = []
-        for t, (parts, numbers, of) in enumerate(zip(variances, map(np.concatenate, seen), own.rows)):
+        deviations, ends = [], np.inf
+        for t, (parts, numbers, of, at) in enumerate(zip(variances, map(np.concatenate, seen), own.rows, own.places)):
             here = np.sqrt(np.maximum(np.vstack(parts), 0.0)) * fit.deviation[t]  # round-off may be negative
             spread = fit.runs.log.measured[t].spread
-            here = np.where(here < np.maximum(spread, fit.deviation[t]), here, np.inf)
             known = np.vstack([here, np.full(len(spread), np.inf)])
-            deviations.append(known[np.minimum(np.searchsorted(numbers, of), max(len(numbers) - 1, 0))])
+            known = known[np.minimum(np.searchsorted(numbers, of), max(len(numbers) - 1, 0))]
+            is_far = (known >= np.maximum(spread, fit.deviation[t])).any(axis=1)
+            deviations.append(known)
+            ends = min(ends, own.times[at][is_far].min(initial=np.inf))
+        for known, at in zip(deviations, own.places):
+            known[own.times[at] >= ends] = np.inf  # one part of a mechanism that goes another way takes all with it
         found.append(deviations)
     return found
