@@ -391,10 +391,10 @@ def judged(fit, near, solution):
     tied_near = fit.solution(near.point, near.outputs, near.linear, SLACKS[-1])
     judge = Effects(fit, solution if is_in_reach(fit, solution) else tied_near)
     columns = [np.flatnonzero(np.isfinite(each.values).any(axis=0)) for each in fit.runs.log.measured]
-    errors = numerics(fit, solution.point, solution.outputs)
+    errors = numerics(fit, solution)
     channels, p_white = channel_fits(fit, solution, errors), []
-    for least in (None, errors):
-        each = [white(fit, solution, t, [p], least) for t, own in enumerate(columns) for p in own]
+    plain = [white(fit, solution, t, [p]) for t, own in enumerate(columns) for p in own]
+    for least, each in ((None, plain), (errors, [channel.p_white for channel in channels])):
         together = [white(fit, solution, t, own, least) for t, own in enumerate(columns) if len(own)]
         p_white.append(min(min(each) * len(each), min(together) * len(columns)))
     found = Comparison(fit, solution, channels, [], [], [], errors, horizons(fit, near, solution), tuple(p_white))
@@ -479,25 +479,29 @@ def in_short_steps(fit, point, outputs=None):
 
     outputs : of the point, None: not known
     """
-    before = np.inf
+    before, outputs = np.inf, fit.runs.base(point) if outputs is None else outputs
     while point.halves < MOST_HALVES:
-        outputs = fit.runs.base(point) if outputs is None else outputs
+        shorter = replace(point, halves=point.halves + 1)
+        finer = fit.runs.base(shorter)
         rest = np.concatenate([fit.weighted(one) for one in fit.residuals(point, outputs)])
         size = max(1.0, float(np.sqrt(rest @ rest / max(len(rest), 1))))
-        error = max(part.max(initial=0.0) for part in numerics(fit, point, outputs))
+        error = max(part.max(initial=0.0) for part in _largest(fit, fit.errors(outputs, finer)))
         if error <= PART * size or error > 0.5 * before:
             break
-        point, outputs, before = replace(point, halves=point.halves + 1), None, error
+        point, outputs, before = shorter, finer, error
     return point
 
 
-def numerics(fit, point, outputs=None):
-    """[(p,)] largest estimated error of the integration by the noise, of each Measured."""
-    errors = fit.numerics(point, outputs)
-    return [
-        np.abs(np.concatenate([each[t] for each in errors])).max(axis=0, initial=0.0) / sigma
-        for t, sigma in enumerate(fit.deviation)
-    ]
+def numerics(fit, solution):
+    """[(p,)] largest estimated error of the integration by the noise, of each Measured, from steps of half the size."""
+    point = solution.point
+    return _largest(fit, fit.errors(solution.outputs, fit.runs.base(replace(point, halves=point.halves + 1))))
+
+
+def _largest(fit, errors):
+    """[(p,)] largest of [[(r, p)]] by the noise."""
+    parts = ([each[t] for each in errors] for t in range(len(fit.deviation)))
+    return [np.abs(np.concatenate(part)).max(axis=0, initial=0.0) / s for part, s in zip(parts, fit.deviation)]
 
 
 def reach(log):

@@ -284,11 +284,6 @@ class Fit:
         count = sum(len(part.rest) for part in parts)
         return total / count if count else np.inf
 
-    def numerics(self, point, outputs=None):
-        """[[(r, p)]] estimated errors of the integration, from steps of half the size; outputs: None: not known."""
-        outputs = self.runs.base(point) if outputs is None else outputs
-        return self.errors(outputs, self.runs.base(replace(point, halves=point.halves + 1)))
-
     def errors(self, outputs, finer):
         """[[(r, p)]] estimated errors of outputs, from those with steps of half the size."""
         size = 2**ORDER / (2**ORDER - 1)
