@@ -188,15 +188,15 @@ class Fit:
                 columns = None
         return self.solution(point, outputs, None, slack, False)
 
-    def solution_at(self, near, other):
-        """Solution near one whose segments are free, with the delays and numbers of other Unknowns."""
+    def solution_at(self, near, other, same):
+        """Solution near one whose segments are free, with delays and numbers of other Unknowns; same: as of `solve`."""
         step = self.apart_from(near.point, other)
         changes = [a - b for a, b in zip(near.chain.starts(step), near.chain.starts(0.0 * step))]
         point = replace(self.moved(near.point, changes, step), delays=other.delays, values=other.values)
         fixed = np.column_stack([other.values, FIXED * self.runs.numbers.scales])
         late = np.column_stack([other.delays, np.full(len(self.free), FIXED)])
         one = Fit(self.runs, self.deviation, self.free, self.limits, fixed, self.workers, late)
-        return one.solve(point, known=near)
+        return one.solve(point, same, near)
 
     def linear_of(self, known):
         """Columns of a Solution with the present weights."""

@@ -16,6 +16,7 @@ from liegroup_core.errors import SimulationError
 from liegroup_core.threads import one_blas_thread
 
 from .chain import SHOWN
+from .starts import ROUGHLY
 
 STARTS = 12  # of runs, at most, of which each recording has one
 FIRST = 5  # measurements after which the first interval ends
@@ -111,7 +112,7 @@ def horizons(fit, near, solution, ends=None, since=-np.inf):
     """
     runs, shared = fit.runs, np.nan_to_num(solution.covariance, posinf=0.0)
     try:
-        near = fit.solution_at(near, solution.point)
+        near = fit.solution_at(near, solution.point, ROUGHLY)
     except SimulationError:  # the numbers are far from those of `near`
         return []
     known, given, moved = near.chain.covariances(shared), near.chain.covariances(0.0 * shared), near.point
@@ -191,7 +192,7 @@ def _rows(ends, times, sigma, *parts):
 
 
 def _freedom(own, whole):
-    """Degrees of freedom of the sum of squares of numbers with own variances (k,), of whole ones: the rest is one cause.
+    """Degrees of freedom of a sum of squares of numbers with own variances (k,), of whole ones: the rest is one cause.
 
     Satterthwaite (1946).
     """

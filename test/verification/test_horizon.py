@@ -195,7 +195,19 @@ def test_times_of_a_horizon():
     ahead = np.array([0.1, 0.2, 0.4, 0.8])
     error, none = np.array([0.011, 0.014, 0.03, 0.02]), np.zeros(4)
     horizon = Horizon(
-        "a.position", "/a", "rad", 0.01, ahead, error, none, none, np.full(4, 3), np.full(4, 1000), np.full(4, 3), 0.02, ()
+        "a.position",
+        "/a",
+        "rad",
+        0.01,
+        ahead,
+        error,
+        none,
+        none,
+        np.full(4, 3),
+        np.full(4, 1000),
+        np.full(4, 3),
+        0.02,
+        (),
     )
     assert (horizon.within_noise, horizon.within(0.02), horizon.within(0.001)) == (0.2, 0.2, 0.0)
     assert horizon.within(0.05) == 0.8 and horizon.differs_from == 0.4
