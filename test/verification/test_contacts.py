@@ -753,7 +753,7 @@ def test_derivatives_of_a_bounce_are_those_of_its_closed_form():
             "damping must be at most 1e.06 s/m, got 1.43e.09 of restitution",
         ),
         ("sinks: 1e-3, damping: 1, friction: 1e3", "friction must be at most 100"),
-        ("sinks: 1e-3, damping: 1, friction: 1, slip: 1e-20", "slip of 1e-20 m; it must be from 2.2e-14 m"),
+        ("sinks: 1e-3, damping: 1, friction: 1, slip: 1e-20", "slip of 1e-20 m; double precision resolves 2.2e-14 m"),
         ("sinks: 1e-3, damping: 1, friction: 1, settles: 1e9", "settles must be at most"),
         ("sinks: 1e-3, damping: 1, slip: 1e-4", "slip has no effect without friction"),
     ],
