@@ -98,7 +98,8 @@ class Horizon:
             found += f", within {self.useful:g} {self.unit} for {useful:.2g} s"
         k = int(self.error.argmax())
         most = f"it is off by up to {self.error[k]:.2g} {self.unit}, after {self.ahead[k]:.2g} s"
-        return f"{found}; {most}, where {self.expected[k]:.2g} {self.unit} is explained"
+        explained = f", where {self.expected[k]:.2g} {self.unit} is explained" if self.expected[k] < np.inf else ""
+        return f"{found}; {most}{explained}"  # not where predictions are far from linear
 
 
 @one_blas_thread()
