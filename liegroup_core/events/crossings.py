@@ -33,7 +33,15 @@ from liegroup_core.dynamics.switches import (
     set_guards,
 )
 from liegroup_core.forces.formulas import OPEN
-from liegroup_core.forces.law import branch_matters, branch_of, distances_in, is_shared, may_be_beyond, next_branch
+from liegroup_core.forces.law import (
+    branch_matters,
+    branch_of,
+    distances_in,
+    is_shared,
+    is_table,
+    may_be_beyond,
+    next_branch,
+)
 from liegroup_core.lie.vec3 import dot3, load3, load9, matvec3, sub3
 from liegroup_core.mechanism.arrays import COORDINATE, NODES, RESTS, SIDE, SLIP
 
@@ -102,16 +110,18 @@ def note_guards(model, work, row):
 
 @kernel
 def _matters(model, work, k, c, way, h):
-    """Whether the branch k beyond its end c differs from the next one by more than Work.least.
+    """Whether the branch k beyond its end c differs from the next one by more than Work.least, or others follow.
 
     way : guard, negative: of a continuous kink the difference grows with it
     """
     laws, end = model.space.forces.laws, work.guards[len(model.switches) + k, c]
+    other, part = next_branch(laws, work.branches[k], k, c == MOST), 1.0
+    if way == end and end < 0.0 and other != branch_of(laws, work.registers, k):
+        return True  # further segments of a table are passed
     force = 0.0
     for i in range(len(work.wrench)):
         for j in range(6):
             force += abs(work.wrench[i, j])
-    other, part = next_branch(laws, work.branches[k], k, c == MOST), 1.0
     if way != end and end > 0.0:
         part = min(1.0, -way / end)
     return branch_matters(laws, work.branches, work.registers, k, other, force, h, part, work.least[0]) != 0
@@ -366,7 +376,7 @@ def crossed(model, work, h, weights):
                 work.crossed[row, c] = NONE
                 if not found:  # else it may matter up to what was found
                     k, laws = row - len(model.switches), model.space.forces.laws
-                    if is_shared(laws, work.branches[k], k):
+                    if is_shared(laws, work.branches[k], k) or is_table(laws, k):
                         work.branches[k] = next_branch(laws, work.branches[k], k, c == MOST)
                     else:
                         work.branches[k] = OPEN

@@ -214,8 +214,9 @@ class Contact(Force):
                     )
         gravity = math.hypot(*gravity)
         load = self.load or sum(body.mass for body in bodies.values()) * gravity
-        if self.sinks is not None and load == 0.0:
-            raise SceneError("load is missing: without gravity give it, or stiffness", place=("load",))
+        if load == 0.0 and (self.friction or self.sinks is not None):
+            way = "yields by slip" if self.sinks is None else "sinks"
+            raise SceneError(f"load is missing: without gravity give the force under which it {way}", place=("load",))
         mass = 1.0 / sum(1.0 / bodies[name].mass for name in self.on_bodies({}))
         self._given = shapes, load, mass
         self._check_range(bodies, gravity)
@@ -681,7 +682,12 @@ def _touch_with_rim(found, body, shape, end, axes, height):
             forces.append(found.push(_minus(height, _dot(n, _sum(centre, arms[-1]))), leaving))
             found.close_to_plane(found.depths[-1], body, math.hypot(np.linalg.norm(end), shape.radius))
     force = found.let(f"{_plus(*forces)} if {found.only_with(found.depths[-4])} else 0")
-    shares = [found.let(f"{each}/({force} + 1e-300)") for each in forces[1:]]
+    # Before an event ends a step a force may be negative, and so would be shares of a sum near zero.
+    found.is_geometry = True
+    pressing = [found.let(f"max({each}, 0)") for each in forces]
+    found.is_geometry = False
+    whole = found.let(f"{_plus(*pressing)} + 1e-300")
+    shares = [found.let(f"{each}/{whole}") for each in pressing[1:]]
     # From the lowest point on, which is the only one where nothing presses yet.
     ways = [_difference(arm, arms[0]) for arm in arms[1:]]
     arm = [found.let(each) for each in _sum(arms[0], *map(_scaled, shares, ways))]

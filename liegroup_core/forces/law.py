@@ -831,10 +831,16 @@ def state_matters(laws, registers, s):
 
 
 @kernel
+def is_table(laws, k):
+    """Whether kink k is that of a table: its branch is the number of a segment."""
+    return laws.code[laws.kinks[k, 0], 0] == TABLE
+
+
+@kernel
 def next_branch(laws, branch, k, above):
     """Branch of kink k beyond the lower or the upper end of a branch."""
     i = laws.kinks[k, 0]
-    if laws.code[i, 0] != TABLE:
+    if not is_table(laws, k):
         return -branch if branch <= 1.0 else (BELOW if above else ABOVE)
     number = laws.code[i, 3]
     segments = laws.tables[number + 1] - laws.tables[number] - 1

@@ -2,7 +2,8 @@
 """Formulas of laws for the reference integration: Python's syntax tree in postfix order, for a stack machine.
 
 The scene has been checked, so no formula is wrong here. It shares nothing with forces/formulas.py. An instruction is
-(operation, argument): LOAD and STORE have the number of a value, PUSH that of a number, TABLE that of a table; < <= >
+(operation, argument): LOAD and STORE have the number of a value, PUSH that of a number, TABLE that of a table, KNOTS
+before it that of its first surface: those of a table are its argument = x of a knot; < <= >
 >= min max abs have 1 plus that of their surface a = b, negative with b and a exchanged. The others replace their
 operands on top of the stack by their result; a condition is 1 or 0, or a share between them where the motion slides
 along a surface.
@@ -15,7 +16,7 @@ import numpy as np
 
 from liegroup_core.compiling import kernel, subroutine
 
-LOAD, STORE, PUSH, TABLE, CHOOSE = 0, 1, 2, 3, 4
+LOAD, STORE, PUSH, TABLE, CHOOSE, KNOTS = 0, 1, 2, 3, 4, 5
 _UNARY = {ast.USub: 10, ast.Not: 11, "sin": 12, "cos": 13, "tan": 14, "asin": 15, "acos": 16, "atan": 17}
 _UNARY |= {"exp": 18, "log": 19, "sqrt": 20, "tanh": 21, "abs": 22}
 _BINARY = {ast.Add: 30, ast.Sub: 31, ast.Mult: 32, ast.Div: 33, ast.Pow: 34, "atan2": 35, "min": 36, "max": 37}
@@ -26,7 +27,7 @@ _NUMBERS = {"pi": math.pi, "inf": math.inf}
 class Postfix:
     """Instructions of formulas, one after another.
 
-    code : [(operation, argument)];  numbers : [float];  tables : [(x, y)];  deepest : largest size of the stack
+    code : [(operation, argument)];  numbers : [float];  tables : [(k, 2) x, y];  deepest : largest size of the stack
     surfaces : {operands a, b, or place in the code: number}
     """
 
@@ -70,6 +71,10 @@ class Postfix:
             keys.append(f"{ast.unparse(node)} {known}")
         number = 1 + self.surfaces.setdefault(tuple(sorted(keys)), len(self.surfaces))
         return number if keys == sorted(keys) else -number
+
+    def _knots(self, name):
+        """x of the knots of a table."""
+        return self.tables[self._tables[name]][:, 0].tolist()
 
     def _kink(self, operation, takes):
         """Append min, max or abs."""
@@ -147,6 +152,9 @@ class Postfix:
         else:
             self._walk(arguments[0])
             known = name in _UNARY
+            if not known:
+                self._do(KNOTS, len(self.surfaces), 1)
+                self.surfaces |= {(len(self.code), x): len(self.surfaces) + j for j, x in enumerate(self._knots(name))}
             self._do(_UNARY[name] if known else TABLE, 0 if known else self._tables[name], 1)
 
 
@@ -216,6 +224,10 @@ def evaluate(code, numbers, first, points, stack, values, sides, heights):
             top -= 1
         elif operation == TABLE:
             stack[top] = _interpolated(first, points, argument, stack[top])
+        elif operation == KNOTS:
+            number = code[i + 1, 1]
+            for j in range(first[number + 1] - first[number]):
+                heights[argument + j] = stack[top] - points[first[number] + j, 0]
         elif operation == CHOOSE:
             top -= 2
             share = stack[top + 2]

@@ -129,6 +129,7 @@ def test_blocks_that_are_skipped_change_no_bit():
 def by_reference(text, values):
     """Value of a formula by the stack machine of the reference integration."""
     program = Postfix()
+    program.tables.append(np.transpose(TABLE))
     program.add(text, {name: k for k, name in enumerate(NAMES)}, {"table": 0}, len(NAMES))
     code, numbers = np.array(program.code), np.array(program.numbers, dtype=float)
     found, stack = np.array([*values, 0.0]), np.empty(program.deepest)

@@ -871,3 +871,21 @@ def test_points_that_touch_nothing_cost_an_implicit_method_no_evaluation():
         found.append((engine._integrator.evaluations, engine.sample().pose))
     assert found[0][0] == found[1][0]
     assert_allclose(found[0][1], found[1][1], rtol=0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("accuracy", [1e-4, 1e-7])
+def test_a_disc_that_drops_flat_and_spins_slows_by_the_impulse_of_its_contact(accuracy):
+    """All points of a rim touch and leave at one instant: I w' = -mu N r while it slips, m (v + g t) the impulse of N.
+
+    From each touch on the bristle yields for slip / (r w) = 25 us, while N grows to 2 N: 5e-5 rad/s, twice.
+    """
+    disc = "{name: disc, shape: {type: cylinder, radius: 0.2, length: 0.05, mass: 2}, position: [0, 0, 0.026], %s}"
+    keys = "name: floor, body: disc, sinks: 1e-4, restitution: 0.2, friction: 0.5"
+    made = scene([disc % "angular_velocity: [0, 0, 10]"], [keys])
+    simulation = Simulation(made, accuracy=accuracy, horizon=1.0, quiet=True)
+    for time in (0.02, 0.05, 0.1):
+        simulation.advance_to(time)
+        twist = simulation.sample().twist[0]
+        assert twist[2] == pytest.approx(10.0 - 0.5 * 2.0 / 0.2 * (twist[5] + G * time), abs=1e-4)
+    simulation.advance_to(0.4)
+    assert abs(simulation.sample().twist[0, 2]) < 1e-3  # it stands

@@ -509,6 +509,8 @@ joints:"""
         ("3*(q > 0.8) - 3*(0.81 < q)", 0.03),
         ("30000*max(0, min(q - 0.8, 0.81 - q))", 0.75),
         ("30000*max(0, 0.005 - abs(q - 0.805))", 0.75),
+        ("bump(q)", 0.015),
+        ("3 if bump(q) > 0 else 0", 0.03),
     ],
 )
 def test_a_force_in_a_window_that_a_step_flies_through_is_seen(effort, work):
@@ -516,7 +518,8 @@ def test_a_force_in_a_window_that_a_step_flies_through_is_seen(effort, work):
 
     To a thousandth of the accuracy, since both ends of the window are located. The reference to its uncertainty.
     """
-    scene, exact = cart(effort, velocity=1.0), math.sqrt(1.0 + 2.0 * work)
+    tables = {"bump": {"x": [0.4, 0.8, 0.805, 0.81, 5.0], "y": [0, 0, 3, 0, 0]}} if "bump" in effort else {}
+    scene, exact = cart(effort, velocity=1.0, tables=tables), math.sqrt(1.0 + 2.0 * work)
     for accuracy in (1e-3, 1e-6):
         simulation = Simulation(scene, accuracy=accuracy, quiet=True)
         assert abs(end_of(simulation, 1.0)[1] - exact) < 1e-3 * accuracy
