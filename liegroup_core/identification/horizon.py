@@ -257,9 +257,10 @@ def _explained(fit, near, runs, owners):
         for t, (parts, numbers, of, at) in enumerate(zip(variances, map(np.concatenate, seen), own.rows, own.places)):
             here = np.sqrt(np.maximum(np.vstack(parts), 0.0)) * fit.deviation[t]  # round-off may be negative
             spread = fit.runs.log.measured[t].spread
-            known = np.vstack([here, np.full(len(spread), np.inf)])
+            most = np.maximum(spread, fit.deviation[t])
+            known = np.vstack([np.where(here < most, here, np.inf), np.full(len(spread), np.inf)])
             known = known[np.minimum(np.searchsorted(numbers, of), max(len(numbers) - 1, 0))]
-            is_far = (known >= np.maximum(spread, fit.deviation[t])).any(axis=1)
+            is_far = np.isinf(known[:, spread > fit.deviation[t]]).any(axis=1)  # of what moves
             deviations.append(known)
             ends = min(ends, own.times[at][is_far].min(initial=np.inf))
         for known, at in zip(deviations, own.places):
