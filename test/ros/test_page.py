@@ -79,7 +79,8 @@ def test_a_report_shows_the_ground_and_the_force_of_a_contact(browser, tmp_path)
     opened(browser, tmp_path / "a.html")
     code = (
         "(f => { const s = document.querySelector('input'); s.value = f * s.max; s.dispatchEvent(new Event('input'));"
-        " const d = views[0].plot.data, a = d.find(t => t.name === 'contact force'), p = d.findLast(t => t.type === 'mesh3d');"
+        " const d = views[0].plot.data, a = d.find(t => t.name === 'contact force');"
+        " const p = d.findLast(t => t.type === 'mesh3d');"
         " return [[a.x, a.y, a.z], p.type, [p.x, p.y, p.z]]; })"
     )
     assert browser.run(f"{code}(0)")[0] == [[], [], []]
