@@ -214,9 +214,10 @@ class Contact(Force):
                     )
         gravity = math.hypot(*gravity)
         load = self.load or sum(body.mass for body in bodies.values()) * gravity
-        if load == 0.0 and (self.friction or self.sinks is not None):
-            way = "yields by slip" if self.sinks is None else "sinks"
-            raise SceneError(f"load is missing: without gravity give the force under which it {way}", place=("load",))
+        if load == 0.0 and self.sinks is not None:
+            raise SceneError("load is missing: without gravity give it, or stiffness", place=("load",))
+        if load == 0.0 and self.friction:
+            load = self.stiffness * self.slip / self.friction  # as stiff along the surface as across it
         mass = 1.0 / sum(1.0 / bodies[name].mass for name in self.on_bodies({}))
         self._given = shapes, load, mass
         self._check_range(bodies, gravity)
@@ -272,14 +273,14 @@ class Contact(Force):
             f"friction must be at most {MOST_FRICTION:g}, a slope of 89.4 degrees, got {self.friction:.3g}",
         )
         slip = numbers["slip"]
-        yields = slip if not weight else min(slip, weight * slip / (self.friction * (load or weight)))
+        yields = slip if not weight else min(slip, weight * slip / (self.friction * load))
         check(
             least <= yields,
             "friction" if self.slip is None else "slip",
             f"friction yields by a slip of {slip:.2g} m{'' if self.slip else ' (friction times sinks)'}; double "
             f"precision resolves {least:.2g} m: give a larger slip",
         )
-        longest = MOST_SETTLES * math.sqrt(mass * slip / (self.friction * load)) if load else math.inf
+        longest = MOST_SETTLES * math.sqrt(mass * slip / (self.friction * load))
         check(
             self.settles is None or self.settles <= longest,
             "settles",
@@ -454,8 +455,7 @@ class _Formulas:
         self._inputs, self._signals, self._states, self._outputs = {}, {}, {}, []
         self.normals, self.yields, self.arms, self.depths, self._powers, self._near = [], [], [], [], [], ""
         self._follows, self.is_geometry, self.closing = set(), False, []
-        if "friction" in numbers:
-            self._reference = load or numbers["stiffness"] * numbers["slip"] / numbers["friction"]
+        self._load = load
 
     @property
     def law(self):
@@ -550,7 +550,7 @@ class _Formulas:
             along = self.let(_dot(axes[0], bristle))
             bent = [self.let(each) for each in _difference(bristle, _scaled(along, axes[0]))]
         square, along = self.let(_dot(bent, bent)), self.let(_dot(bent, slips))
-        most = self.let(f"sqrt(sqrt(({force}/{self._reference!r})**8 + {LIGHT**8!r}))")
+        most = self.let(f"sqrt(sqrt(({force}/{self._load!r})**8 + {LIGHT**8!r}))")
         yields = self.let(
             f"2*{along}*({square} - {most})/({square}**2 + {most}**2) if {square} > {most} and {along} > 0 else 0"
         )

@@ -889,3 +889,9 @@ def test_a_disc_that_drops_flat_and_spins_slows_by_the_impulse_of_its_contact(ac
         assert twist[2] == pytest.approx(10.0 - 0.5 * 2.0 / 0.2 * (twist[5] + G * time), abs=1e-4)
     simulation.advance_to(0.4)
     assert abs(simulation.sample().twist[0, 2]) < 1e-3  # it stands
+
+
+def test_without_gravity_friction_is_as_stiff_as_the_normal_force():
+    """Its load is that at which both yield alike, and its damping is critical: tau = sqrt(m / k)."""
+    (floor,) = ball("stiffness: 1e5, damping: 0, friction: 0.2, slip: 1e-5", gravity=0.0).forces
+    assert floor.numbers["settles"] == pytest.approx(math.sqrt(2.0 / 1e5), rel=1e-12)

@@ -360,7 +360,7 @@ def substep(scheme, model, work, size, start, elapsed, first, pose_in, external_
                 break
         newton.known[0] = 1.0
         status = NOT_CONVERGED
-        _find_coupled(newton)
+        _find_coupled(newton)  # at each substep, as a snapshot has only the derivatives
         # an integer, so that sums are exact and repeated runs identical
         scheme.spent[0] += newton.coupled[0] * newton.coupled[0] // FREEDOMS_SQUARED
         if _factorise(newton, size):
