@@ -21,7 +21,7 @@ from liegroup_core.parts import attached
 from liegroup_core.running_error import LOST, RunningError
 from liegroup_core.scene.description import Scene
 from liegroup_core.settings import SETTINGS, check_group, checked, of_engine
-from liegroup_core.state import State, decoded, encoded, kept, set_kept, with_pulls
+from liegroup_core.state import State, decoded, empty, encoded, kept, set_kept, with_pulls
 from liegroup_core.stiffness import MethodChoice
 
 log = logging.getLogger("liegroup_core")
@@ -283,7 +283,7 @@ class Simulation(Engine):
             if isinstance(given, list) and (not whole or len(given) == len(memory) + 1):
                 mask = getattr(self._integrator, "mask_before", None) or len(given)
                 given = given[:mask] + given[mask + 1 :]
-                given += encoded([np.zeros_like(array) for array in memory[len(given) :]])
+                given += encoded([empty(array) for array in memory[len(given) :]])
                 parts = parts | {"memory": given}
             if isinstance(given, list):
                 parts = parts | {"memory": [with_pulls(*each) for each in zip(given, memory)] + given[len(memory) :]}

@@ -6,7 +6,7 @@ or breaks away, or a law changes its branch. munthe_kaas.py returns at the start
 is crossed (crossings.py). times.py finds the event's time, mode_changes.py what changes. A method that runs ahead
 returns at the start of the step, which is completed from the lead on.
 
-More than MOST_EVENTS in a step are an error.
+More than MOST_EVENTS of one stop, joint or branch in a step are an error.
 """
 
 from typing import NamedTuple
@@ -259,7 +259,8 @@ class Switching(EventTimes):
     def _take_events(self, h, start, state):
         work = self._work
         elapsed, times, begun = 0.0, [], self._control.attempted[0]
-        for _ in range(MOST_EVENTS):
+        first = self.tally.copy()
+        while (self.tally - first).max() < MOST_EVENTS:
             begin_of_substep, size = elapsed + work.watch[BEGIN], work.watch[SPAN]
             work.clock.count[0], work.clock.offset[0] = 0.0, start + begin_of_substep
             tau, crossed, status = self._locate(size, state)
@@ -267,11 +268,12 @@ class Switching(EventTimes):
                 return status
             elapsed = begin_of_substep + tau
             if crossed is not None:
-                times.append(elapsed)
+                crosses = crossed.any(axis=1)
+                if crosses[: len(work.modes)].any():
+                    times.append(elapsed)
                 # Impacts that converge do so by then; so many in so short a time do not.
                 self.has_many = len(times) > MOST_EVENTS // 2
                 self.is_dense = self.has_many and elapsed - times[-DENSE] < SHORT * h
-                crosses = crossed.any(axis=1)
                 if self.is_dense and self.endless is None and crosses[: len(work.modes)].any():
                     self.endless = start + elapsed, np.flatnonzero(crosses[: len(work.modes)]).tolist()
                 status = self._switch(start + elapsed, state, crossed)

@@ -12,10 +12,18 @@ from scene_files import text_of
 from liegroup_core import Simulation, load_scene
 from liegroup_core.methods.table import METHODS
 from liegroup_core.scene.load import scene_from_text
-from liegroup_core.state import State
+from liegroup_core.state import Columns, State, encoded
 from liegroup_sim_ros.recording import attachments
 
 SPRING = text_of("wound_snapshot.yaml")
+PLATE = """
+name: plate
+gravity: [0, 0, -9.81]
+bodies: [{name: plate, mass: 1, inertia: [4.0e-3, 5.0e-3, 8.0e-3], position: [0, 0, 0.0201], linear_velocity: [0.1, 0, 0]}]
+forces:
+  - {name: floor, type: contact, body: plate, shape: {type: hull, points: POINTS}, stiffness: 1.0e+4, damping: 3.0e+3,
+     friction: 0.5, slip: 1.0e-4}
+"""
 PUSH = [0.3, 0.1, 0.0, 0.0, 0.2, 0.0]
 CASES = [
     ("four_bar", {"accuracy": 1e-5, "step": 1e-3}),
@@ -269,3 +277,32 @@ def test_a_run_continued_from_a_saved_state_is_bit_identical(method):
                 assert np.abs(mine - exact).max() <= 1e-13 * np.abs(exact).max()
         else:
             assert bits(without) != expected
+
+
+def test_the_jacobian_of_an_implicit_method_is_in_a_state_only_where_it_is_used_again():
+    """Its columns that are not zero, or all of them as in earlier versions; at the end of a step there is none."""
+    at = [[round(0.1 * np.cos(a).item(), 6), round(0.1 * np.sin(a).item(), 6), -0.02] for a in np.arange(16) * np.pi / 8]
+    scene = scene_from_text(PLATE.replace("POINTS", str(at)))
+    one, other = (Simulation(scene, accuracy=1e-3, horizon=1.0, step=0.5, quiet=True) for _ in range(2))
+    stored = {}
+    for time in (0.5, 0.6):
+        one.advance_to(time)
+        assert one.method == "radau5"
+        stored[time] = [part for part in one.snapshot().parts["memory"] if isinstance(part, Columns)]
+    assert [len(part.at) for part in stored[0.5]] == [0, 0]
+    f = stored[0.6][0].size
+    assert f == 6 + 1 + 2 * 16 and 0 < len(stored[0.6][0].at) <= 5
+    snapshot, entries = one.snapshot(), json.loads(json.dumps(attachments.state(one, 0)))
+    before, whole = copy.deepcopy(entries), np.zeros((f, f))
+    for parts in (before["state"], before["state"]["running"]["companion"]):
+        for k, part in enumerate(parts["memory"]):
+            if isinstance(part, list):
+                columns = Columns(f).from_json(part, "")
+                whole[:], whole[:, columns.at] = 0.0, columns.values
+                parts["memory"][k] = encoded(whole)
+    one.advance_to(1.3)
+    for each in (entries, before):
+        assert attachments.restore(other, each)
+        assert other.snapshot() == snapshot
+        other.advance_to(1.3)
+        assert other.snapshot() == one.snapshot()

@@ -525,3 +525,13 @@ def test_a_force_in_a_window_that_a_step_flies_through_is_seen(effort, work):
         assert abs(end_of(simulation, 1.0)[1] - exact) < 1e-3 * accuracy
     found, uncertainty = integrate(scene, *initial_state(at_centres_of_mass(scene)), np.array([1.0]))
     assert abs(found.twist[0, 0, 5] - exact) < uncertainty.linear[0, 0] < 1e-8
+
+
+def test_many_branches_may_change_in_a_step_each_up_to_a_thousand_times():
+    """1034 kinks of two terms in a step of 1 s: the speed is the integral of |sin w t|, 2 / w for each half wave."""
+    rates = 1600.0, 1650.0
+    simulation = Simulation(cart(" + ".join(f"abs(sin({w}*t))" for w in rates)), accuracy=1e-6, step=1.0, quiet=True)
+    simulation.advance(1)
+    halves = [divmod(w, math.pi) for w in rates]
+    speed = sum((2.0 * whole + 1.0 - math.cos(rest)) / w for (whole, rest), w in zip(halves, rates))
+    assert simulation.sample().joint_coordinates["rail"][1] == pytest.approx(speed, abs=1e-9)

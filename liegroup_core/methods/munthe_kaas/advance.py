@@ -345,6 +345,8 @@ def _go_ahead(model, work, scheme, steps, pose, twist, external, control):
             control.size[0] = min(control.size[0], work.pace[0])
         before = control.size[0]
         go_on(work, control, size, at_limit)
+        if control.begins[0] != 0.0 and len(scheme.newton.z) > 0:
+            scheme.newton.known[0] = 0.0  # a step begins with a new one, see implicit.substep
         remaining = time_left(work, control)
         control.fresh[0] = 0.0
         if first == 1:

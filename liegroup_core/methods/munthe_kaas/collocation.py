@@ -4,6 +4,7 @@
 import numpy as np
 
 from liegroup_core.compiling import Struct
+from liegroup_core.state import Columns
 
 STAGES = 3
 START, END = STAGES, STAGES + 1  # rows of Collocation.z after those of the stages
@@ -40,8 +41,11 @@ class Collocation(Struct):
 
     @property
     def jacobian(self):
-        """Arrays of the Jacobian and whether it is known; none of an explicit method."""
-        return (self.known, self.stiffness, self.damping) if len(self.z) else ()
+        """Whether the Jacobian is known, and its parts; none of an explicit method."""
+        if len(self.z) == 0:
+            return ()
+        known, parts = self.known[0] != 0.0, (self.stiffness, self.damping)
+        return self.known, *(Columns(len(part), part, known) for part in parts)
 
 
 def no_collocation():

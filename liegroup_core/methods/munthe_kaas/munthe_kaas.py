@@ -103,8 +103,13 @@ class MuntheKaas:
         self._control.longest[0] = math.inf if self._may_run_ahead else self._longest
         self._control.part_of("growth", "jumps")[:] = 0.0
         self._chosen[0] = 0.0
+        self._forget_jacobians()
         self._set_ahead()
         self._work.known[0] = 0.0
+
+    def _forget_jacobians(self):
+        for scheme, *_ in self._methods:
+            scheme.newton.known[:] = 0.0
 
     def tighten(self, part):
         """Set the tolerances to a fraction of those of the options."""
@@ -170,6 +175,7 @@ class MuntheKaas:
         if number != self.chosen:
             self._control.size[0] = self._longest
             self._lead.go_back()  # the state ahead is that of the other method
+            self._forget_jacobians()
         self._chosen[0] = number
         self._set_ahead()
         self.tighten(self._part)
