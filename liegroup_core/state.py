@@ -187,7 +187,7 @@ def with_pulls(data, like):
     like : (n, COLUMNS), or (1 + n COLUMNS + others,)
     """
     pulls = COLUMNS - PULL
-    if not isinstance(data, str) or getattr(like, "dtype", None) != float or len(data) == len(encoded(like)):
+    if not isinstance(data, str) or isinstance(like, Columns) or like.dtype != float or len(data) == len(encoded(like)):
         return data
     try:
         before = np.frombuffer(base64.b64decode(data, validate=True))
