@@ -325,6 +325,7 @@ class Coordinates:
 
     def along(self, rates):
         """(largest of the rates (m,) relative to their scales, the y (f, 2) of a unit way along them)."""
+        rates = np.where(self.is_state[self.independent], 0.0, rates)  # of the links of laws: the states
         speed = np.abs(rates / self.scales).max(initial=0.0)
         if not speed:
             return 0.0, np.zeros((self._probe.freedoms, 2))

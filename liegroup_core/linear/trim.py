@@ -4,6 +4,7 @@
 An equilibrium has z' = 0 and z'' = 0; in a steady motion given rates stay constant and all other coordinates
 rest. Newton's method finds it on the closed mechanism, with the derivatives of tangents.py. Where a
 coordinate has no influence (a free motion, or one that the inputs balance anywhere), the nearest solution is taken.
+States of laws that only motion changes, as the strain of a point that presses, go with the motion.
 """
 
 from dataclasses import dataclass
@@ -26,7 +27,9 @@ LARGEST_TURN = 0.3  # rad, or share of the mechanism's size, in a direction of a
 NO_INFLUENCE = 1e-9  # relative singular value of a free motion
 FOUND = 1e-10  # of the first accelerations plus gravity
 STEADY = 1e-6  # of these: largest change over the motion by a radian, or the mechanism's size
-PART, MOST_PARTS = 0.5, 10
+# A step is halved while the joints cannot be closed at its end, or accelerations are LARGER than before: a fall ends
+# where a contact begins to press.
+PART, MOST_PARTS, LARGER = 0.5, 24, 10.0
 
 
 class TrimError(SimulationError):
@@ -110,6 +113,8 @@ def _found(probe, rates, held, names):
         moved, pushed = _derivatives(probe, coordinates, inputs, u)
         free = scipy.linalg.null_space(coordinates.motions[fixed] * columns) if fixed else np.eye(len(columns))
         scaled = moved / rows[:, None] * columns @ free
+        follow = np.eye(len(columns)) if remaining <= limit else _following(probe, coordinates, inputs, u, moved)
+        ways = follow * columns / columns[:, None] @ free
         effects = pushed / rows[:, None]
         sizes = 1.0 / _lengths_of(effects)
         if remaining <= limit:
@@ -120,10 +125,12 @@ def _found(probe, rates, held, names):
             rank = int((values > max(NO_INFLUENCE * np.linalg.norm(scaled), limit)).sum())
             loose = coordinates.moved_by(columns[:, None] * free @ directions[rank:].T)
             return _trim(probe, preferred, inputs, u, loose)
-        same = (coordinates.moving[:, None] == coordinates.independent) @ free
-        step, change = _step(scaled, effects * sizes, -accelerations / rows, same)
+        same = (coordinates.moving[:, None] == coordinates.independent) @ ways
+        step, change = _step(moved / rows[:, None] * columns @ ways, effects * sizes, -accelerations / rows, same)
         u = u + sizes * change
-        _go(probe, coordinates, fixed, columns * (free @ step), advice)
+        way = columns * (ways @ step)
+        if not _go(probe, coordinates, fixed, way, inputs, u, LARGER * remaining):
+            raise TrimError(f"no equilibrium near the state: the joints cannot be closed on the way to it{advice}")
         stops.follow()
     if not names and (held or rates):
         advice += "; name inputs that hold it"
@@ -157,15 +164,24 @@ def _at_rates(probe, rates, preferred):
     return Coordinates(probe, preferred=preferred, states=True)
 
 
-def _go(probe, coordinates, fixed, z, advice):
-    """Go to coordinates z, or a part of the way where the joints cannot be closed there. Raises TrimError."""
+def _go(probe, coordinates, fixed, z, inputs, u, limit):
+    """Go to coordinates z, or a part of the way, see LARGER; returns whether the joints could be closed.
+
+    limit : of the accelerations there, relative to their scales
+    """
+    kept, closed = probe.keep(), False
     for _ in range(MOST_PARTS):
+        probe.restore(kept)
         try:
             probe.go_to(coordinates.holding(z, fixed))
-            return
+            found = _accelerations(probe, coordinates, inputs, u) / coordinates.rate_scales
+            closed = True
+            if np.abs(found).max(initial=0.0) <= limit:
+                break
         except SimulationError:
-            z = z * PART
-    raise TrimError(f"no equilibrium near the state: the joints cannot be closed on the way to it{advice}")
+            pass
+        z = z * PART
+    return closed
 
 
 def _lengths_of(pushed):
@@ -230,6 +246,30 @@ def _derivatives(probe, coordinates, inputs, u):
     finally:
         probe.acting = present
     return found[:, :m], found[:, m:]
+
+
+def _following(probe, coordinates, inputs, u, moved):
+    """Matrix (m, m) of displacements: those of states of laws that no displacement changes follow from the others.
+
+    At rest their rates are zero everywhere. A slow motion changes them by the derivatives of their rates by the rates
+    of the coordinates.
+    moved : derivatives of the accelerations by the coordinates, as from `_derivatives`
+    """
+    follow, is_state = np.eye(len(coordinates.independent)), coordinates.is_state
+    rows = [j for j, k in enumerate(coordinates.moving) if is_state[k] and not moved[j].any()]
+    if not rows:
+        return follow
+    rates = np.flatnonzero(~is_state[coordinates.moving])
+    directions = np.array([coordinates.neighbour(k, 1.0, rate=True) for k in rates])
+    present, probe.acting = probe.acting, inputs.applied(u)
+    try:
+        by_rates = probe.derivatives(directions, coordinates.rate_scales[rates] * ANGLE)[0][:, probe.freedoms :].T
+    finally:
+        probe.acting = present
+    for k in coordinates.moving[rows]:
+        row = np.flatnonzero(coordinates.independent == k)
+        follow[row] = by_rates[k] @ coordinates.motions[coordinates.moving[rates]]
+    return follow
 
 
 def _trim(probe, preferred, inputs, u, loose):

@@ -15,7 +15,7 @@ from liegroup_core import SceneError, Simulation
 from liegroup_core.engine import Engine
 from liegroup_core.forces.contact import SHORT
 from liegroup_core.lie.groups import SO3
-from liegroup_core.linear import linearise, modes_of, sensitivities
+from liegroup_core.linear import TrimError, linearise, modes_of, sensitivities, trim
 from liegroup_core.reports import explain
 from liegroup_core.scene.load import scene_from_text
 from liegroup_core.status import NOT_FINITE
@@ -282,6 +282,25 @@ def test_a_brick_on_a_slope_beyond_the_cone_slides_with_its_acceleration():
     assert (speeds[1] - speeds[0]) / 0.25 == pytest.approx(expected, rel=1e-5)
     shown = simulation.sample().signals["floor.normal_force"]
     assert shown == pytest.approx(3 * G * math.cos(angle), rel=1e-6)
+
+
+@pytest.mark.parametrize("height", [0.0, 0.5])
+def test_trim_finds_what_stands_on_a_slope_up_to_the_cone(height):
+    """Also below a brick in the air. Its weight is that of the sum of depths; the tilt changes that by its square."""
+    friction, sinks = 0.5, 1e-5
+    for share in (0.5, 0.98, 0.9999, 1.0001):
+        angle = math.atan(share * friction)
+        made = slope(angle, friction, sinks=sinks)
+        normal = np.array([math.sin(angle), 0.0, math.cos(angle)])
+        body = made.bodies[0]
+        start = Simulation(made.remade(bodies=[body.remade(position=body.position + height * normal)]), quiet=True)
+        if share > 1.0:
+            with pytest.raises(TrimError, match="no equilibrium near the state"):
+                trim(start)
+            continue
+        found = trim(start)
+        assert found.is_steady and found.residual <= 1e-7
+        assert found.pose[0, 9:] @ normal == pytest.approx(0.05 - 0.25 * sinks * math.cos(angle), abs=1e-8)
 
 
 REST = math.sqrt(1.0 + math.sqrt(2.0))  # the bristle of a point that slides: 2 b^2 (b^2 - 1) = b^4 + 1
