@@ -23,7 +23,7 @@ from liegroup_core.status import BEYOND_STOP, EVENT, EVENTS_WITHOUT_END, MOST_EV
 
 from .crossings import lowest
 from .mode_changes import IMPACT, JointEvent
-from .times import SAME_PART, SAME_TIME, EventTimes
+from .times import ROUND_OFF_PART, SAME_PART, SAME_TIME, EventTimes
 
 BEYOND = 1e-9  # rad, or relative to the characteristic length: a state that is set further beyond a stop is refused
 # Endless impacts of several contacts become plastic: after half of MOST_EVENTS in a step, if the last DENSE
@@ -70,8 +70,9 @@ class Switching(EventTimes):
         self.touching = touching if is_known else None
         self.instants, self.count = None, 0
         self.endless = self._inputs = None
-        self.tally = np.zeros(len(work.guards), dtype=int)
-        self._branch_times = np.full(len(work.branches), -np.inf)  # s, of the last event of each in a step
+        self.tally, self._tally = np.zeros((2, len(work.guards)), dtype=int)  # and where a step began
+        # s, of the last event of each in a step, and the time after which one is another event
+        self._branch_times, self._again = np.full(len(work.branches), -np.inf), SAME_TIME
         work.watch[WATCHED] = 1.0
 
     def touch(self, pose, twist, external):
@@ -259,10 +260,11 @@ class Switching(EventTimes):
     def _take_events(self, h, start, state):
         work = self._work
         elapsed, times, begun = 0.0, [], self._control.attempted[0]
-        first = self.tally.copy()
-        while (self.tally - first).max() < MOST_EVENTS:
+        self._tally[:] = self.tally
+        while (self.tally - self._tally).max() < MOST_EVENTS:
             begin_of_substep, size = elapsed + work.watch[BEGIN], work.watch[SPAN]
             work.clock.count[0], work.clock.offset[0] = 0.0, start + begin_of_substep
+            self._again = max(self.same_time, ROUND_OFF_PART * size)
             tau, crossed, status = self._locate(size, state)
             if status != OK:
                 return status
@@ -433,11 +435,11 @@ class Switching(EventTimes):
 
         So is one with many events in a step. Returns the numbers of those that are shared.
         """
-        laws, branches, shared = self._laws, self._work.branches, []
+        laws, branches, shared, row = self._laws, self._work.branches, [], len(self._work.modes)
         for k, c in np.argwhere(ends):
-            if self.has_many:
+            if self.tally[row + k] - self._tally[row + k] > MOST_EVENTS // 2:
                 branches[k] = OPEN
-            elif time - self._branch_times[k] > self.same_time or is_shared(laws, branches[k], k):
+            elif time - self._branch_times[k] > self._again or is_shared(laws, branches[k], k):
                 branches[k] = next_branch(laws, branches[k], k, c == MOST)
             elif k in laws.surfaces:
                 branches[k] = SHARED

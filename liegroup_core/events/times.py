@@ -23,6 +23,10 @@ TIME_PART = 1e-13  # tolerance of an event's time, relative to the substep
 DIGIT = 2.0**-52  # round-off of a gap, relative to the characteristic length plus |stop|
 SAME_TIME, SAME_PART = 1e-14, 1e-9  # s, and relative to a step; events that are closer count as one
 HALVINGS, MOST_LOOKS = 40, 400
+APART = 1e3  # times of two zeros, by linear interpolation, in units of `same_time`
+# Points of an interpolation, and part of the first interval within which residuals decrease by far more than half, unless
+# they are round-off.
+MOST_POINTS, ROUND_OFF_PART = 5, 1e-8
 # Relative to the substep: range in which the smallest effort is sought, and its tolerance.
 NEAR, PRECISE = 0.2, 1e-3
 BEFORE, AFTER = 0.8, 1.25  # relative to the expected time of a zero: the interval that is tried first
@@ -65,7 +69,7 @@ class EventTimes(ModeChanges):
         work = self._work
         places = work.crossed.copy()
         kept = self._keep(*state[:2])
-        failed = []
+        failed, reached = [], [-1.0, None]  # time of the present state, and the branches there
 
         @functools.cache
         def seen(tau):
@@ -75,6 +79,7 @@ class EventTimes(ModeChanges):
             if status != OK:
                 failed.append(status)
                 return np.full_like(work.guards, np.nan), None, None
+            reached[:] = tau, work.branches.copy()
             work.clock.now[0] = work.clock.offset[0] + tau  # not that of the last trial
             self._look(self._model, work, *state)
             return work.guards.copy(), work.modes[:, COORDINATE].copy(), work.now.copy()
@@ -111,8 +116,11 @@ class EventTimes(ModeChanges):
         for _, end, k, c in sorted(ends):  # by linear interpolation
             later = tau + self.same_time
             if crossed.any():
+                here, there = guard(tau, k, c), guard(end, k, c)
+                if here > 0.0 > there and (end - tau) * here > APART * self.same_time * (here - there):
+                    continue  # its zero is later, by linear interpolation
                 if end > later and not guard(later, k, c) < 0.0:
-                    continue  # its zero is later
+                    continue
                 end = min(end, later)
             if end == later and tau > self.same_time and guard(tau - self.same_time, k, c) > 0.0:
                 crossed[k, c] = True
@@ -128,8 +136,11 @@ class EventTimes(ModeChanges):
             tau, crossed[k, c] = min(at, tau), True
         if failed:
             return 0.0, None, failed[0]
-        self._return(kept, *state[:2])
-        status = self._single(tau, state) if tau > 0.0 else OK
+        if tau == reached[0]:
+            work.branches[:], status = reached[1], OK
+        else:
+            self._return(kept, *state[:2])
+            status = self._single(tau, state) if tau > 0.0 else OK
         return tau, crossed if crossed.any() and status == OK else None, status
 
     def _may_be_beyond(self, k, c):
@@ -191,12 +202,8 @@ class EventTimes(ModeChanges):
                     break
             else:
                 return 0.0
-        time = scipy.optimize.brentq(guard, begin, end, (k, c), precise, 1e-15)
         # A held switch is released where its effort is at its bound or beyond: then it moves away.
-        ahead = precise
-        while c > SLIDING and guard(time, k, c) > 0.0:
-            time, ahead = min(time + ahead, end), 2.0 * ahead
-        return time
+        return root_of(functools.partial(guard, k=k, c=c), begin, end, precise, c > SLIDING)
 
     def _closed(self, guard, gap, near, end, precise, k, c):
         """Time at which a gap closes, by Newton's method from `near`, or None."""
@@ -234,6 +241,60 @@ class EventTimes(ModeChanges):
         own = (work.pose, work.twist, work.angle, *self._all_modes, pose, twist)
         for part, values in zip(own, kept):
             part[:] = values
+
+
+def root_of(function, begin, end, precise, beyond):
+    """Root of a function between two times at which its signs differ, to `precise`: one at which it was evaluated.
+
+    beyond : whether the function must not be positive there
+
+    Inverse interpolation through the nearest points, because each costs a step of a mechanism: it converges faster than
+    Brent's method, which has three. Where a residual is not halved, the next step goes 8 times as far, so that the
+    interval shrinks from both sides; if that is short by then, residuals are round-off. Raises ValueError where the
+    function is NaN.
+    """
+    points, ends, stale, time, near_enough = [], {}, 0, begin, ROUND_OFF_PART * abs(end - begin)
+    while True:
+        value = function(time)
+        if math.isnan(value):
+            raise ValueError("a value is not known")
+        stale = 0 if not points or abs(value) <= 0.5 * points[0][0] else stale + 1
+        points = sorted([*points, (abs(value), value, time)])
+        ends[value > 0.0] = time
+        if value == 0.0:
+            return time
+        if len(points) == 1:
+            time = end
+            continue
+        positive, negative = ends[True], ends[False]
+        _, value, near = points[0]
+        step = _zero_of(points[:MOST_POINTS]) - near
+        if not stale and len(points) > 2 and abs(step) <= precise:
+            break
+        if abs(positive - negative) <= (near_enough if stale else precise):
+            break
+        far = negative if value > 0.0 else positive
+        reach, middle = abs(step) * 8.0**stale, 0.5 * (positive + negative)
+        time = near + (math.copysign(reach, far - near) if stale else step)
+        if not min(positive, negative) < time < max(positive, negative) or stale and reach > abs(middle - near):
+            time = middle
+    while beyond and value > 0.0:
+        near, precise = min(near + precise, end), 2.0 * precise
+        value = function(near)
+    return near
+
+
+def _zero_of(points):
+    """Argument at which the polynomial of the values in [(|value|, value, argument)] is zero: Neville's scheme; inf."""
+    known = {value: argument for size, value, argument in points if size < math.inf}
+    row, values = [], list(known)
+    for k, (value, argument) in enumerate(known.items()):
+        new = [argument]
+        for j in range(k):
+            other = values[k - 1 - j]
+            new.append(new[j] + value * (new[j] - row[j]) / (other - value))
+        row = new
+    return row[-1] if len(row) > 1 else math.inf
 
 
 def _first_zero(gap, rate, acceleration):
