@@ -24,7 +24,7 @@ DIGIT = 2.0**-52  # round-off of a gap, relative to the characteristic length pl
 SAME_TIME, SAME_PART = 1e-14, 1e-9  # s, and relative to a step; events that are closer count as one
 HALVINGS, MOST_LOOKS = 40, 400
 APART = 1e3  # times of two zeros, by linear interpolation, in units of `same_time`
-# Points of an interpolation, and part of the first interval within which residuals decrease by far more than half, unless
+# Points of an interpolation; part of the first interval within which residuals decrease by far more than half, unless
 # they are round-off.
 MOST_POINTS, ROUND_OFF_PART = 5, 1e-8
 # Relative to the substep: range in which the smallest effort is sought, and its tolerance.
