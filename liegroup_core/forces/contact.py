@@ -71,6 +71,7 @@ MOST_FRICTION = 100.0  # a slope of 89.4 degrees
 MOST_DAMPING = 1e6  # s/m: a point enters with 1 um/s at most, where the force k d (1 + c d') doubles
 MOST_SETTLES = 1e3  # of sqrt(mass / stiffness of the friction): beyond, friction is that of a fluid
 WORK = "work"  # state of the law of a contact: what it did on the bodies, J. Its scale is that of `load` along 1 m
+UNITS = {"normal_force": "N", "depth": "m", WORK: "J"}  # of what its law shows
 
 
 def _points(value):
@@ -313,6 +314,11 @@ class Contact(Force):
         return self._formulas.law
 
     @property
+    def shapes(self):
+        """Shapes of its bodies, once it is complete."""
+        return self._given[0]
+
+    @property
     def points(self):
         """[(number of an output on the body, normal force, what yields, arm (3,) of its force)]: signals or numbers."""
         found = self._formulas
@@ -340,6 +346,22 @@ class Contact(Force):
         for key, name, shape in zip(("shape", "other_shape"), (self.body, self.other), shapes):
             found[key] = _contact_shape(shape, com.get(name, 0.0))
         return found
+
+
+def outline(shape, around=32):
+    """(k, 3) m, points of a shape whose convex hull has its form, in the body frame; around : of them on a circle."""
+    if shape.type == "hull":
+        local = np.array(shape.points)
+    elif shape.type == "box":
+        local = 0.5 * np.array(list(product((-1.0, 1.0), repeat=3))) * shape.size
+    else:
+        turns = np.linspace(0.0, 2.0 * np.pi, around, endpoint=False)
+        rise = np.linspace(0.0, 0.5 * np.pi, around // 4 + 1) if shape.type in ROUND else np.zeros(1)
+        rings = [(math.cos(a) * math.cos(b), math.cos(a) * math.sin(b), math.sin(a)) for a in rise for b in turns]
+        half = np.unique(np.round(shape.radius * np.array(rings), 12), axis=0)
+        half[:, 2] += 0.5 * getattr(shape, "length", 0.0)
+        local = np.unique(np.concatenate([half, half * (1.0, 1.0, -1.0)]), axis=0)
+    return np.array(shape.position) + local @ shape.rotation.T
 
 
 def stiffest(forces):

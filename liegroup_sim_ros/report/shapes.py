@@ -12,8 +12,10 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
+import scipy
 
 from liegroup_core.errors import SceneError
+from liegroup_core.forces.contact import outline
 from liegroup_core.robots.access import trees
 from liegroup_core.robots.apart import triangulated
 from liegroup_core.robots.resources import readable_mesh
@@ -90,6 +92,28 @@ def shapes_from(file, scene, mapped=None, most=MOST_TRIANGLES):
         f"--robot {file}: its bodies differ from those of the recording, for example in {min(names ^ own)}: give "
         "the file that was simulated, or the scene file that refers to it and has its options"
     )
+
+
+def contact_shapes(scene):
+    """{body: [shape]} of the bodies that have no shape but those of their contacts; all of these are convex."""
+    found, seen = {}, {body.name: [] for body in scene.bodies if body.shape is None}
+    for contact in (force for force in scene.forces if force.type == "contact"):
+        for name, shape in zip((contact.body, contact.other), contact.shapes):
+            if name in seen and shape not in seen[name]:
+                seen[name].append(shape)
+                points = outline(shape)
+                hull = scipy.spatial.ConvexHull(points)
+                low, high = points.min(axis=0), points.max(axis=0)
+                found.setdefault(name, []).append(
+                    {
+                        "points": base64.b64encode(points.astype("<f4").tobytes()).decode(),
+                        "faces": base64.b64encode(hull.simplices.astype("<i4").tobytes()).decode(),
+                        "at": (0.5 * (low + high)).tolist(),
+                        "size": (high - low).tolist(),
+                        "color": None,
+                    }
+                )
+    return found
 
 
 def box_of(shapes):

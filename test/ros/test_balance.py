@@ -234,3 +234,19 @@ def test_many_joints_are_drawn_a_few_at_a_time_and_angles_without_jumps(tmp_path
     assert len({title for title, _ in JOINT_PLOTS.values()}) == len(JOINT_PLOTS)
     fastest = traces[39]["y"]  # 3.9 rad/s for 3 s: from 0 to pi, and from -pi on
     assert fastest.count(None) == 2 and max(abs(y) for y in fastest if y is not None) <= math.pi
+
+
+def test_contacts_have_a_plot_for_each_unit(tmp_path):
+    """Force, depth and work of a contact do not share an axis."""
+    scene = scene_from_text(filled(SLIDE, gravity=0, joint="", speed=SPEED, **CASES["contact"][1]))
+    simulation = Simulation(scene, "rkmk8", 1e-3, estimate=False)
+    with LogFile(tmp_path / "a.mcap", simulation, 10, 0) as file:
+        for _ in range(5):
+            file.sample(simulation.sample())
+            simulation.advance(10)
+        file.finish(simulation, None, False, 1.0)
+    plots = {title: plot for title, _, plot in make_plots(analyse(read_recording(tmp_path / "a.mcap"), reference=False))}
+    shown = {title: plot for title, plot in plots.items() if title.startswith(("Contact", "Law"))}
+    units = {title: plot["layout"]["yaxis"]["title"]["text"] for title, plot in shown.items()}
+    assert units == {"Contact acts: normal force": "N", "Contact acts: depth": "m", "Contact acts: work": "J"}
+    assert [trace["name"] for trace in shown["Contact acts: depth"]["data"]] == ["acts"]
