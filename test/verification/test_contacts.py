@@ -16,6 +16,7 @@ from liegroup_core import SceneError, Simulation
 from liegroup_core.engine import Engine
 from liegroup_core.forces.contact import SHORT
 from liegroup_core.lie.groups import SO3
+from liegroup_core.forces.contact import damping_of
 from liegroup_core.linear import linearise, modes_of, sensitivities
 from liegroup_core.reports import explain
 from liegroup_core.scene.load import scene_from_text
@@ -786,6 +787,39 @@ def test_round_bodies_that_start_in_one_point_are_refused(mine, other, place, is
     keys = f"sinks: 1e-3, damping: 1, shape: {{type: {mine}}}, other: b, other_shape: {{type: {other}}}"
     with pytest.raises(SceneError, match="a and b start with .* in one point") if is_refused else nullcontext():
         scene(bodies, [f"name: c, body: a, {keys}"])
+
+
+def test_figures_of_the_page_on_weight_and_on_unloaded_friction():
+    """A drop at 1 m/s for the restitution 0.5, by an integration of its own; and the first slip of a block."""
+    load, sinks = 2 * G, 1e-4
+    k, c = load / sinks, damping_of(0.5, 1.0)
+
+    def leaves(_, y):
+        return y[0]
+
+    leaves.terminal, leaves.direction = True, -1.0
+    fall = scipy.integrate.solve_ivp(
+        lambda _, y: (y[1], G - k * y[0] * (1.0 + c * y[1]) / 2.0), (0.0, 0.1), (0.0, 1.0), events=leaves,
+        rtol=1e-10, atol=1e-14,
+    )  # fmt: skip
+    expected = -fall.y_events[0][0][1]
+    assert f"{expected:.3f}" == "0.470"
+    simulation = Simulation(ball(f"sinks: {sinks}, restitution: 0.5", RADIUS, 0.0, -1.0), accuracy=1e-8, quiet=True)
+    while simulation.sample().signals["floor.normal_force"] > 0.0 or simulation.time == 0.0:
+        simulation.advance_to(simulation.time + 1e-5)
+    # Since then it has lost g 1e-5 s at the most.
+    assert simulation.sample().twist[0, 5] == pytest.approx(expected, abs=G * 1e-5 + 1e-7)
+    angle, body = math.atan(0.98 * 0.5), "{name: block, shape: {type: box, size: [0.4, 0.3, 0.2], mass: 2}, %s}"
+    above = 0.1 - 0.25 * sinks * math.cos(angle)  # where its weight rests on four points
+    turned = f"rotation_vector: [0, {angle}, 0], position: [{above * math.sin(angle)}, 0, {above * math.cos(angle)}]"
+    plane = f"plane: {{point: [0, 0, 0], normal: [{math.sin(angle)}, 0, {math.cos(angle)}]}}"
+    keys = f"body: block, sinks: {sinks}, restitution: 0.1, friction: 0.5, {plane}"
+    block = scene([body % turned], [f"name: floor, {keys}"])
+    simulation = Simulation(block, accuracy=1e-6, quiet=True)
+    start = simulation.sample().pose[0, 9:]
+    simulation.advance_to(5.0)
+    moved = simulation.sample().pose[0, 9:] - start
+    assert f"{1e3 * moved @ (math.cos(angle), 0.0, -math.sin(angle)):.2f}" == "0.10"
 
 
 def test_points_that_press_are_known_and_planes_are_drawn_around_them():
