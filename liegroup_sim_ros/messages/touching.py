@@ -10,8 +10,8 @@ from liegroup_core.forces.contact import ROUND
 from liegroup_core.scene.names import WORLD
 
 ARROW, LONGEST = 2.0, 3.0  # of an arrow at the weight of the heaviest mechanism, and of any, by its size
-# Radius of a point, by this size, and the least ones by that of the picture and by the radius R of a ball above it. Seen
-# from 25 degrees above, the ball covers 0.1 R below its lowest point.
+# Radius of a point, by this size, and the least ones by that of the picture and by the radius R of a ball above it.
+# Seen from 25 degrees above, the ball covers 0.1 R below its lowest point.
 POINT, SMALLEST, BELOW = 0.05, 0.01, 0.3
 WIDE, ROOM = 0.5, 1.1  # of a patch: least width by the longest edge of the bodies' box, and size by that of the box
 STICKS, SLIPS = (0.08, 0.6, 0.2), (0.85, 0.1, 0.55)  # colours of points

@@ -45,7 +45,15 @@ CONTACT_REMARKS = {
     "depth": "of its deepest point",
     "work": "on its bodies, since the start",
 }
-PICKS = {"body": "Bodies", "joint": "Joints", "force": "Forces", "law": "Signals", "contact": "Contacts", "sensor": "Sensors", "": "Mechanism"}
+PICKS = {
+    "body": "Bodies",
+    "joint": "Joints",
+    "force": "Forces",
+    "law": "Signals",
+    "contact": "Contacts",
+    "sensor": "Sensors",
+    "": "Mechanism",
+}
 
 
 def make_plots(analysis, columns=()):

@@ -18,9 +18,9 @@ from liegroup_core.errors import SceneError
 from liegroup_core.forces.contact import outline
 from liegroup_core.robots.access import trees
 from liegroup_core.robots.apart import triangulated
-from liegroup_core.robots.resources import readable_mesh
 from liegroup_core.robots.options import BASES, Options
 from liegroup_core.robots.read import is_robot_file
+from liegroup_core.robots.resources import readable_mesh
 from liegroup_core.scene.load import find_scene, scene_of
 from liegroup_core.scene.robot_file import options_from
 from liegroup_sim_ros.numbers import counted

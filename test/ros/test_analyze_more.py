@@ -117,7 +117,6 @@ def test_the_error_of_a_step_with_error_control_takes_three_steps_a_window(tmp_p
     assert sum(taken) == 3 * 8
 
 
-
 def test_trend_and_curves_of_a_drift():
     """Slope of a line with noise; a wrench starts a new interval."""
 

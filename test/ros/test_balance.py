@@ -245,7 +245,9 @@ def test_contacts_have_a_plot_for_each_unit(tmp_path):
             file.sample(simulation.sample())
             simulation.advance(10)
         file.finish(simulation, None, False, 1.0)
-    plots = {title: plot for title, _, plot in make_plots(analyse(read_recording(tmp_path / "a.mcap"), reference=False))}
+    plots = {
+        title: plot for title, _, plot in make_plots(analyse(read_recording(tmp_path / "a.mcap"), reference=False))
+    }
     shown = {title: plot for title, plot in plots.items() if title.startswith(("Contact", "Law"))}
     units = {title: plot["layout"]["yaxis"]["title"]["text"] for title, plot in shown.items()}
     assert units == {"Contact acts: normal force": "N", "Contact acts: depth": "m", "Contact acts: work": "J"}

@@ -14,9 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from liegroup_core import SceneError, Simulation
 from liegroup_core.engine import Engine
-from liegroup_core.forces.contact import SHORT
+from liegroup_core.forces.contact import SHORT, damping_of
 from liegroup_core.lie.groups import SO3
-from liegroup_core.forces.contact import damping_of
 from liegroup_core.linear import linearise, modes_of, sensitivities
 from liegroup_core.reports import explain
 from liegroup_core.scene.load import scene_from_text
