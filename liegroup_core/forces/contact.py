@@ -69,8 +69,10 @@ RESOLVED = 1e3 * np.finfo(float).eps
 TIMES = 1e-9, 1e5  # s, sqrt(mass / stiffness): clocks have whole ns; and a contact that acts within a day
 MOST_FRICTION = 100.0  # a slope of 89.4 degrees
 MOST_DAMPING = 1e6  # s/m: a point enters with 1 um/s at most, where the force k d (1 + c d') doubles
-MOST_SETTLES = 1e3  # of sqrt(mass / stiffness of the friction): beyond, friction is that of a fluid
+# Of sqrt(mass / stiffness of the friction): what sticks vibrates 300 times; and beyond, friction is that of a fluid.
+LEAST_SETTLES, MOST_SETTLES = 1e-3, 1e3
 WORK = "work"  # state of the law of a contact: what it did on the bodies, J. Its scale is that of `load` along 1 m
+UNITS = {"normal_force": "N", "depth": "m", WORK: "J"}  # of what its law shows
 
 
 def _points(value):
@@ -193,9 +195,16 @@ class Contact(Force):
         for key, needs in (("slip", "friction"), ("settles", "friction"), ("speed", "restitution")):
             if key in self.model_fields_set and needs not in self.model_fields_set:
                 raise SceneError(f"{key} has no effect without {needs}: give {needs} or remove {key}", place=(key,))
+        if "load" in self.model_fields_set and not self._load_acts:
+            raise SceneError("load has no effect without sinks or friction: give one of them or remove it", ("load",))
         if self.friction and self.slip is None and self.sinks is None:
             raise SceneError("slip is missing: friction yields by this length in m until it slides", place=("slip",))
         return self
+
+    @property
+    def _load_acts(self):
+        """Whether the force depends on the load."""
+        return self.sinks is not None or "friction" in self.model_fields_set
 
     def complete(self, bodies, gravity):
         """Take shapes of bodies {name: Body} that are not given, and the load from their weight. Raises SceneError."""
@@ -237,6 +246,14 @@ class Contact(Force):
             if not is_right:
                 raise SceneError(text, place=(key,))
 
+        if all(shape.type in ROUND for shape in shapes) and len(shapes) == 2:
+            apart = _apart(*(_axis_of(shape, body) for shape, body in zip(shapes, self._in_order(bodies))))
+            check(
+                apart >= least,
+                "other",
+                f"{self.body} and {self.other} start with their centres or axes in one point, {apart:.2g} m apart: "
+                "nothing says in which direction they push each other; move one of them",
+            )
         time, number = math.sqrt(mass / stiffness), f"{key} {getattr(self, key):.3g}"
         if "load" in self.model_fields_set and self.sinks is not None:
             number += f" under the load {load:.3g} N"
@@ -280,13 +297,20 @@ class Contact(Force):
             f"friction yields by a slip of {slip:.2g} m{'' if self.slip else ' (friction times sinks)'}; double "
             f"precision resolves {least:.2g} m: give a larger slip",
         )
-        longest = MOST_SETTLES * math.sqrt(mass * slip / (self.friction * load))
-        check(
-            self.settles is None or self.settles <= longest,
-            "settles",
-            f"settles must be at most {longest:.2g} s, {MOST_SETTLES:g} times sqrt(mass / stiffness of the friction), "
-            f"got {self.settles}",
-        )
+        time = math.sqrt(mass * slip / (self.friction * load))
+        for is_right, most, factor in (
+            (self.settles is None or self.settles <= MOST_SETTLES * time, "most", MOST_SETTLES),
+            (self.settles is None or self.settles >= LEAST_SETTLES * time, "least", LEAST_SETTLES),
+        ):
+            check(
+                is_right,
+                "settles",
+                f"settles must be at {most} {factor * time:.2g} s, {factor:g} times sqrt(mass / stiffness of the "
+                f"friction), got {self.settles}" + (": what sticks vibrates too long" if most == "least" else ""),
+            )
+
+    def _in_order(self, bodies):
+        return [bodies[name] for name in (self.body, self.other)]
 
     def _shape(self, bodies, key, name):
         shape = getattr(self, key) or bodies[name].shape
@@ -313,6 +337,11 @@ class Contact(Force):
         return self._formulas.law
 
     @property
+    def shapes(self):
+        """Shapes of its bodies, once it is complete."""
+        return self._given[0]
+
+    @property
     def points(self):
         """[(number of an output on the body, normal force, what yields, arm (3,) of its force)]: signals or numbers."""
         found = self._formulas
@@ -336,10 +365,26 @@ class Contact(Force):
     def at_centres(self, com):
         """Entries that change if body frames are at the centres of mass; com : {body: (3,) m}."""
         shapes, load, _ = self._given
-        found = {"load": load}
+        found = {"load": load} if self._load_acts else {}
         for key, name, shape in zip(("shape", "other_shape"), (self.body, self.other), shapes):
             found[key] = _contact_shape(shape, com.get(name, 0.0))
         return found
+
+
+def outline(shape, around=32):
+    """(k, 3) m, points of a shape whose convex hull has its form, in the body frame; around : of them on a circle."""
+    if shape.type == "hull":
+        local = np.array(shape.points)
+    elif shape.type == "box":
+        local = 0.5 * np.array(list(product((-1.0, 1.0), repeat=3))) * shape.size
+    else:
+        turns = np.linspace(0.0, 2.0 * np.pi, around, endpoint=False)
+        rise = np.linspace(0.0, 0.5 * np.pi, around // 4 + 1) if shape.type in ROUND else np.zeros(1)
+        rings = [(math.cos(a) * math.cos(b), math.cos(a) * math.sin(b), math.sin(a)) for a in rise for b in turns]
+        half = np.unique(np.round(shape.radius * np.array(rings), 12), axis=0)
+        half[:, 2] += 0.5 * getattr(shape, "length", 0.0)
+        local = np.unique(np.concatenate([half, half * (1.0, 1.0, -1.0)]), axis=0)
+    return np.array(shape.position) + local @ shape.rotation.T
 
 
 def stiffest(forces):
@@ -440,6 +485,29 @@ def _clip(value, low, high):
 
 def _state(rate, scale=1.0):
     return LawState.model_construct(rate=str(rate), update=None, start=0.0, scale=scale)
+
+
+def _axis_of(shape, body):
+    """(2, 3) m, ends of the axis of a round shape of a body at the start, world axes; those of a sphere are equal."""
+    half = 0.5 * getattr(shape, "length", 0.0) * shape.rotation[:, 2]
+    return [body.position + body.rotation @ (np.array(shape.position) + sign * half) for sign in (-1.0, 1.0)]
+
+
+def _apart(one, other):
+    """Distance of two segments, each given by its ends, m."""
+
+    def from_point(point, ends):
+        along = ends[1] - ends[0]
+        part = np.clip((point - ends[0]) @ along / (along @ along or 1.0), 0.0, 1.0)
+        return np.linalg.norm(point - ends[0] - part * along)
+
+    found = [from_point(point, other) for point in one] + [from_point(point, one) for point in other]
+    sides = np.column_stack([one[1] - one[0], other[0] - other[1]])
+    if np.linalg.matrix_rank(sides) == 2:  # the lines cross, perhaps within both segments
+        parts, *_ = np.linalg.lstsq(sides, other[0] - one[0])
+        if (parts >= 0.0).all() and (parts <= 1.0).all():
+            found.append(np.linalg.norm(other[0] - one[0] - sides @ parts))
+    return min(found)
 
 
 class _Formulas:

@@ -14,6 +14,7 @@ import scipy
 
 from liegroup_core.errors import SceneError
 from liegroup_core.fields.values import suggestion
+from liegroup_core.forces.contact import UNITS
 from liegroup_core.forces.law import laws_of
 
 POSITION, QUATERNION, ROTATION = ("x", "y", "z"), ("qx", "qy", "qz", "qw"), ("rx", "ry", "rz")
@@ -189,9 +190,12 @@ class Catalogue:
             "touching": dict.fromkeys(layout.touching.names, {}),
             "force": of_forces,
             "law": dict.fromkeys((law.name for law in laws_of(layout.scene.forces)), {}),
-            "signal": dict.fromkeys(layout.signals, {}),
+            "signal": {name: self._units_of_signal(*name.rsplit(".", 1)) for name in layout.signals},
             "sensor": {each.name: _parts(each, units) for each in layout.scene.sensors},
         }
+
+    def _units_of_signal(self, law, name):
+        return {"signal": UNITS[name]} if law in self._layout.touching.names else {}
 
     @cached_property
     def quantities(self):
@@ -206,7 +210,7 @@ class Catalogue:
                 for k, (_, unit) in enumerate(parts)
             ]
         elif row.owners == "signal":
-            columns = [(name, "", row.depends) for name in self.owners["signal"]]
+            columns = [(name, units.get("signal", ""), row.depends) for name, units in self.owners["signal"].items()]
         else:
             units = np.repeat(row.units, len(row.parts) // len(row.units)).tolist()
             depends = row.depends if isinstance(row.depends, tuple) else (row.depends,) * len(row.parts)

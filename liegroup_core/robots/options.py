@@ -15,6 +15,7 @@ from .starts import FORBIDDEN, Start
 
 BASES = ("fixed", "floating")
 ALL = "all"  # instead of the names of joints
+MAPPED = ("base", "lock", "keep", "only", "xacro")  # what decides which body a link of the file is, and where in it
 BEYOND = 1e-9  # rad or m, of a limit: round-off
 MANY = 100  # couplings, above which chains of them are followed only in the order of the file
 
@@ -80,6 +81,11 @@ class Options:
     def led(self):
         """{joint} of those with a servo or a motion of the user."""
         return {each.joint for each in self.forces if each.type in ("servo", "linear_servo")} | self.driven.keys()
+
+    @property
+    def mapped(self):
+        """{key: value} of MAPPED, JSON types."""
+        return {key: getattr(self, key) for key in MAPPED}
 
     def error(self, path, message):
         """SceneError at an entry of the additions."""

@@ -53,6 +53,7 @@ KNOWN = {
 }
 # {element of <gazebo>: texts with which gravity does not act on the link}
 GRAVITY = {"turnGravityOff": ("true", "1"), "gravity": ("false", "0")}
+TOUCHING = ("mu2", "fdir1", "slip1", "slip2", "kp", "kd", "minDepth", "maxVel", "maxContacts")
 NO_EFFECT = ("implicitSpringDamper", "provideFeedback", "preserveFixedJoint", "disableFixedJointLumping")
 SPRING = {"springStiffness": "stiffness", "springReference": "rest"}  # elements of <gazebo>, for a joint
 LIMITS = ("lower", "upper", "velocity", "effort")
@@ -111,9 +112,12 @@ def _gazebo(reader, robot, element):
     link, joint = robot.links.get(name), robot.joint(name)
     label, left = name or "unnamed", False
     for part in element:
-        for collision in link.collisions if link is not None and part.tag == "mu1" else ():
-            collision.friction = partial(reader.number, part, part.text, "<mu1>")
-        if part.tag == "sensor" and link is not None:
+        if link is not None and part.tag == "mu1":
+            for collision in link.collisions:
+                collision.friction = partial(reader.number, part, part.get("value") or part.text, "<mu1>")
+        elif link is not None and part.tag in TOUCHING:
+            robot.leave_out("numbers of contacts in <gazebo>, but for mu1", label)
+        elif part.tag == "sensor" and link is not None:
             link_sensor(reader, robot, part, name, _place_in(reader, robot, name, part))
         elif part.tag == "sensor" and joint is not None:
             joint_sensor(reader, robot, part, joint, _place_in(reader, robot, joint.child, part))
@@ -212,10 +216,24 @@ def _link(reader, robot, element, colors):
             robot.leave_out(NOT_DRAWN, link.name)
     for part in element.iterfind("collision"):
         link.collisions.append(Collision(part.sourceline, partial(_shape, reader, part)))
+        if part.find("contact_coefficients") is not None:  # published files give mu 0
+            robot.leave_out("contact_coefficients of links", link.name)
     for child in element:
-        if child.tag not in ("inertial", "visual", "collision", "material"):
+        if child.tag == "contact":
+            _contact(reader, robot, child, link)
+        elif child.tag not in ("inertial", "visual", "collision", "material"):
             omit(robot, child, f"{child.tag} of links", link.name)
     return link
+
+
+def _contact(reader, robot, element, link):
+    """Read the friction of a <contact> of Bullet; the ground of the options has its own stiffness and restitution."""
+    for part in element:
+        if part.tag == "lateral_friction":
+            for collision in link.collisions:
+                collision.friction = partial(reader.attribute, part, "value")
+        else:
+            robot.leave_out(f"{part.tag} in <contact> of links", link.name)
 
 
 def _shape(reader, collision):

@@ -23,7 +23,7 @@ from liegroup_core.robots.description import MISSING_MESHES, WORLD
 from liegroup_core.robots.ground import Ground
 from liegroup_core.robots.held_joints import Servos
 from liegroup_core.robots.mapping import scene_parts
-from liegroup_core.robots.options import BASES, Options
+from liegroup_core.robots.options import BASES, MAPPED, Options
 from liegroup_core.robots.read import SUFFIXES, read_robot
 from liegroup_core.robots.resources import beside
 from liegroup_core.robots.starts import Start
@@ -230,6 +230,12 @@ def robot_text(path, options=None, added_line=None):
 
     where = _Origins(robot.file, parts.lines, parts.names, added_line)
     return text, read_yaml(text, str(path)).value, where, RobotNames(robot, parts, size, options)
+
+
+def options_from(mapped):
+    """Options of what Options.mapped gave and a recording kept. Raises SceneError."""
+    given = RobotFile(robot="", **{key: value for key, value in mapped.items() if key in MAPPED and value is not None})
+    return Options(**{key: getattr(given, key) for key in MAPPED})
 
 
 def robot_beside(root, source):

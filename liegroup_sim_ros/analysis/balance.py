@@ -6,8 +6,9 @@
 The energies are those of the recorded states, the energies of impacts and works of contacts are recorded. Other work is
 the integral of the powers at the samples, by quintic splines between the times at which an input or a mode of a joint
 changes, or what a sampled law holds, unless that changes more often than there are samples. The error of this
-quadrature is estimated by its difference from that with every second sample, summed over the times between samples. The
-remainder contains both errors, that of the motion and that of the quadrature.
+quadrature is estimated by its difference from that with every second sample, summed over the times between samples.
+Where samples are too far apart for the powers, as of a stiff servo, states between them are integrated (between.py).
+The remainder contains both errors, that of the motion and that of the quadrature.
 """
 
 import numpy as np
@@ -23,12 +24,14 @@ from liegroup_core.observables.along import STORES, powers
 from liegroup_sim_ros.messages.joint_modes import ENERGY
 
 from .acting import ActingInputs
+from .between import COARSE, FINE, Between
 
 WORKS = (*kinds.POWERS, "wrenches", "driven joints", "stops and friction", "impacts", "contacts")
 WRENCHES, IMPACTS, CONTACTS = map(WORKS.index, ("wrenches", "impacts", "contacts"))
 MOST_POINTS = 2000  # of a curve
 DEGREE = 5
 AT_CHANGE = 1e-9  # s: stamps are rounded to ns
+RESOLVED = 1e-3  # error of the work of a run, relative to its energies, up to which its samples are close enough
 
 
 class Balance:
@@ -45,25 +48,37 @@ class Balance:
         self._first_state = kinds.count(forces) - len(states)
         self._has_forces = any(not force.is_conservative for force in layout.scene.forces)
         self._has_joints = bool(layout.motions or layout.switches)
-        self._every = -(-expected // MOST_POINTS)
+        self._between = Between(layout.scene, recording.settings)
+        self._every, self._expected = -(-expected // MOST_POINTS), expected
         self._stretch = self._first = None
         self._work, self._set = np.zeros(len(WORKS) + len(self._laws)), 0.0
-        self._largest, self._at, self._error, self._taken = 0.0, None, 0.0, 0
+        self._largest, self._at, self._error, self._taken, self._scale = 0.0, None, 0.0, 0, 0.0
         self._curves = {}
 
     def add(self, block, stored, angles):
         """Add a Block with its energies (k, 3) by STORES, J, and the angles (k, t) of its torsional springs, rad."""
         state = block.times, block.pose, block.twist, angles
-        if block.stretch is not self._stretch:
+        fresh = block.stretch is not self._stretch
+        if fresh:
             if self._first is None:
                 self._first = self._last = stored[0]
             self._set += float(stored[0].sum() - self._last.sum())
             self._stretch, self._changes = block.stretch, self._acting.changes(block.stretch)
             self._does_work = self._has_forces or self._has_joints or len(block.stretch.inputs) > 0
-            works = self._works(*state, fresh=True)
         else:
-            works = self._works(*(np.concatenate([old, new]) for old, new in zip(self._before, state)))[1:]
-        self._before, self._last = tuple(part[-1:] for part in state), stored[-1]
+            state = tuple(np.concatenate([old, new]) for old, new in zip(self._before, state))
+        self._scale = max(self._scale, float(stored[:, 0].max()), float(np.abs(stored - self._first).sum(axis=1).max()))
+        works, errors = self._works(*state, fresh=fresh)
+        between = [None] * len(errors)
+        for apart in (COARSE, FINE):
+            unresolved = np.flatnonzero(errors > RESOLVED * self._scale / self._expected)
+            for k in unresolved:
+                more = self._between.states(self._stretch, [part[k - 1] for part in state], state[0][k], apart)
+                between[k] = more or between[k]
+            if len(unresolved):
+                works, errors = self._works_through(state, [more for more in between if more], fresh)
+        works, self._error = works[-len(stored) :], self._error + float(errors.sum())
+        self._before, self._last = (*(part[-1:] for part in state),), stored[-1]
         self._work = works[-1]
         remainder = stored.sum(axis=1) - works[:, : len(WORKS)].sum(axis=1) - self._first.sum() - self._set
         worst = int(np.abs(remainder).argmax())
@@ -75,14 +90,23 @@ class Balance:
         columns = block.log_times, stored - self._first, works[:, : len(WORKS)], remainder
         self._curves.setdefault(id(block.stretch), []).append(tuple(part[rows] for part in columns))
 
+    def _works_through(self, state, between, fresh):
+        """`_works` at the states, by way of those in between."""
+        merged = [np.concatenate(parts) for parts in zip(state, *between)]
+        order = np.argsort(merged[0], kind="stable")
+        works, errors = self._works(*(part[order] for part in merged), fresh=fresh)
+        kept = np.argsort(order)[: len(state[0])]
+        return works[kept], np.diff(np.cumsum(errors)[kept], prepend=0.0)
+
     def _works(self, times, pose, twist, angles, fresh=False):
-        """(k, w + l) J of work by WORKS and of each law at k samples, since the start of the run.
+        """Work by WORKS and of each law at k states, since the start of the run, (k, w + l) J; and its errors.
 
         fresh : a stretch begins with them
+        returns also (k,) J, the error of the work since the state before, all WORKS together
         """
-        out = np.tile(self._work, (len(times), 1))
+        out, errors = np.tile(self._work, (len(times), 1)), np.zeros(len(times))
         if not self._does_work:
-            return out
+            return out, errors
         pose, twist = self._layout.offsets.to_centres(pose, twist)
         done, changes = self._work.copy(), self._changes
         inner = changes[(changes > times[0]) & (changes < times[-1])]
@@ -100,10 +124,10 @@ class Balance:
                 own = own.copy()
                 own[:, self._held] = angles[min(first, len(angles) - 1), self._held]
             found = self._powers(0.5 * (a + b), times[rows], pose[rows], twist[rows], own)
-            work, error = _integrals(times[rows], found, a, b)
+            work, error = _integrals(times[rows], found, a)
             out[first:end] = done + work(times[first:end])
             done += work(b)
-            self._error += float(error[: len(WORKS)].sum())
+            errors[rows][1:] += error[:, : len(WORKS)].sum(axis=1)
         for law, s in self._known:
             known = angles[:, self._first_state + s]
             out[:, [CONTACTS, len(WORKS) + law]] += (known - known[0])[:, None]
@@ -115,7 +139,7 @@ class Balance:
             since = times[0] + (-AT_CHANGE if fresh else AT_CHANGE)
             before, *until = total[np.searchsorted(when, [since, *(times + AT_CHANGE)], "right")]
             out[:, IMPACTS] += np.array(until) - before
-        return out
+        return out, errors
 
     def _powers(self, time, times, pose, twist, angles):
         """(k, w + l) W at k states, with the inputs at a time in s since step 0; 0 of impacts."""
@@ -151,13 +175,13 @@ class Balance:
         }, [tuple(np.concatenate(part) for part in zip(*parts)) for parts in self._curves.values()]
 
 
-def _integrals(times, values, a, b):
-    """(function of times: integral of values (k, w) from a on, estimate of its error at b (w,)); k > 1."""
+def _integrals(times, values, a):
+    """(function of times: integral of values (k, w) from a on, errors between the times (k - 1, w)); k > 1."""
     fine, rows = _integral(times, values, a), np.append(np.arange(0, len(times) - 1, 2), len(times) - 1)
     if len(times) == 2:
         rows = rows[:1]
     apart = fine(times) - _integral(times[rows], values[rows], a)(times)
-    return fine, np.abs(np.diff(apart, axis=0)).sum(axis=0)
+    return fine, np.abs(np.diff(apart, axis=0))
 
 
 def _integral(times, values, start):

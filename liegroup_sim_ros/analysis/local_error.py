@@ -29,8 +29,9 @@ def local_error(scene, recording, motion, layout):
     more = {}
     if settings.get("stabilisation") == "baumgarte" and settings.get("baumgarte_time") is None:
         more["baumgarte_time"] = BAUMGARTE_STEPS * settings["step"]
-    simulations = {rung: make_simulation(scene, settings, step=rung * settings["step"], **more) for rung in RUNGS}
     method, work = METHODS[settings["method"]], WorkLimit(MOST_STEPS)
+    rungs = (1.0, 0.5) if method.controlled else RUNGS  # tolerances have no order
+    simulations = {rung: make_simulation(scene, settings, step=rung * settings["step"], **more) for rung in rungs}
     largest, orders, windows, failure = np.zeros(2), [], 0, None
     for stretch, row in _windows(motion):
         try:
@@ -41,13 +42,13 @@ def local_error(scene, recording, motion, layout):
             continue
         largest = np.maximum(largest, apart)
         windows += 1
-        order = _order(work, simulations, stretch, row, size)
+        order = None if method.controlled else _order(work, simulations, stretch, row, size)
         if order is not None:
             orders.append(order)
     share = 1.0 - 0.5**method.order
     remark = None
     if method.controlled:
-        remark, orders = "its error depends on the tolerances, not on the step", []
+        remark = "its error depends on the tolerances, not on the step"
     elif not windows:
         remark = failure
     elif not orders:

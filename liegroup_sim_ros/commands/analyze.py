@@ -104,11 +104,11 @@ def add_arguments(parser):
     parser.add_argument("--scheduler", metavar="ADDRESS", help="scheduler of a Dask cluster, such as tls://host:8786")
 
 
-def _shapes(file, scene):
-    """Triangles of the bodies of a recording, from a robot file; None without a file. Prints remarks."""
+def _shapes(file, analysis):
+    """Triangles of the bodies of an Analysis, from a robot file; None without a file. Prints remarks."""
     if file is None:
         return None
-    shapes, remarks = shapes_from(file, scene)
+    shapes, remarks = shapes_from(file, analysis.scene, analysis.recording.settings.get("robot"))
     for remark in remarks:
         print(f"liegroup_sim: --robot {file}: {remark}", file=sys.stderr)
     return shapes
@@ -156,7 +156,7 @@ def run(args):
 
             write_file(args.png, lambda path: write_picture(analysis, path, comparison))
         if args.html:
-            parts = [page_part(analysis, shapes=_shapes(args.robot, analysis.scene), columns=args.plot)]
+            parts = [page_part(analysis, shapes=_shapes(args.robot, analysis), columns=args.plot)]
     exceeded = find_exceeded(found, args.max_error, args.max_drift)
     if args.html:
         bounds = [

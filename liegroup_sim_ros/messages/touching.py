@@ -6,12 +6,13 @@ import math
 import numpy as np
 
 from liegroup_core.fields.frames import rotation_z_to
+from liegroup_core.forces.contact import ROUND
 from liegroup_core.scene.names import WORLD
 
 ARROW, LONGEST = 2.0, 3.0  # of an arrow at the weight of the heaviest mechanism, and of any, by its size
-# Radius of a point, by this size, and the least one by that of the picture. A point below a ball is seen by a camera
-# at an angle of 25 degrees above: there the ball covers 0.05 of its diameter below it.
-POINT, SMALLEST = 0.05, 0.01
+# Radius of a point, by this size, and the least ones by that of the picture and by the radius R of a ball above it.
+# Seen from 25 degrees above, the ball covers 0.1 R below its lowest point.
+POINT, SMALLEST, BELOW = 0.05, 0.01, 0.3
 WIDE, ROOM = 0.5, 1.1  # of a patch: least width by the longest edge of the bodies' box, and size by that of the box
 STICKS, SLIPS = (0.08, 0.6, 0.2), (0.85, 0.1, 0.55)  # colours of points
 PLANE = (0.45, 0.5, 0.56)
@@ -97,9 +98,11 @@ def measure(scene, sizes):
     return size, sum(mass[name] for name in heaviest) * math.hypot(*scene.gravity)
 
 
-def radius(size, extent):
+def radius(scene, size, extent):
     """Radius of a drawn point, m; size : as `measure`, extent : m, of the picture."""
-    return max(POINT * size, SMALLEST * extent)
+    contacts = (force for force in scene.forces if force.type == "contact")
+    balls = (BELOW * shape.radius for each in contacts for shape in each.shapes if shape.type in ROUND)
+    return max(POINT * size, SMALLEST * extent, *balls)
 
 
 def arrows(sample, size, weight):

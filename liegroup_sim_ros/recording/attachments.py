@@ -110,6 +110,7 @@ def settings(simulation, sample_steps):
         **of_engine(simulation),
         "options": simulation.options,
         "promise": _promise(simulation),
+        "robot": simulation.scene.robot and simulation.scene.robot.options.mapped,
         "steps_per_sample": sample_steps,
         "versions": versions(),
         "machine": machine(),

@@ -10,6 +10,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from liegroup_core.forces.contact import UNITS
 from liegroup_core.observables.along import STORES
 from liegroup_sim_ros.analysis.analyse import NO_RESULT
 from liegroup_sim_ros.analysis.balance import WORKS
@@ -39,7 +40,20 @@ JOINT_PLOTS = {
     ("power", "W"): ("Joint powers", None),
 }
 PARTS = tuple(dict.fromkeys(part for part, _ in JOINT_PLOTS))
-PICKS = {"body": "Bodies", "joint": "Joints", "force": "Forces", "law": "Signals", "sensor": "Sensors", "": "Mechanism"}
+CONTACT_REMARKS = {
+    "normal_force": "sum of its points",
+    "depth": "of its deepest point",
+    "work": "on its bodies, since the start",
+}
+PICKS = {
+    "body": "Bodies",
+    "joint": "Joints",
+    "force": "Forces",
+    "law": "Signals",
+    "contact": "Contacts",
+    "sensor": "Sensors",
+    "": "Mechanism",
+}
 
 
 def make_plots(analysis, columns=()):
@@ -55,7 +69,9 @@ def make_plots(analysis, columns=()):
     restarts = np.array([stretch.begin_ns * 1e-9 for stretch in analysis.motion.stretches[1:]][:MOST_RESTARTS])
     bands = _push_bands(figures, analysis.motion) + _event_lines(marks, "--grey") + _event_lines(restarts, "--violet")
     columns = [*(["signals"] if analysis.layout.signals else []), *columns]
-    plots += _joint_plots(analysis, bands) + (_column_plots(*analysis.columns(columns), bands) if columns else [])
+    plots += _joint_plots(analysis, bands) + (
+        _column_plots(*analysis.columns(columns), bands, contacts=analysis.layout.touching.names) if columns else []
+    )
     if curves["balance"]:
         plots += _energy_plots(figures["balance"], curves["balance"], bands)
     remark, traces = _errors(analysis)
@@ -234,21 +250,28 @@ def _joint_plots(analysis, bands):
     return _column_plots(times, columns, np.hstack([*of_part.values()]), bands, JOINT_PLOTS, chosen)
 
 
-def _column_plots(times, columns, values, bands, titles=MappingProxyType({}), chosen=None):
+def _column_plots(times, columns, values, bands, titles=MappingProxyType({}), chosen=None, contacts=()):
     """Plots of Columns over time, by part and unit or by law, with a curve for each owner.
 
     titles : as JOINT_PLOTS, for the order and the texts;  chosen : owners that are visible at first
+    contacts : names of laws that are contacts
     """
     found, rank, plots = {}, {key: k for k, key in enumerate(titles)}, []
     for name, unit, quantity, y in zip(columns.names, columns.units, columns.quantities, values.T):
         owner, _, part = name.rpartition(".")
-        if quantity.kind == "law":
+        kind, frame = quantity.kind, quantity.frame
+        if kind == "law" and owner in contacts:
+            kind, frame = "contact", CONTACT_REMARKS.get(part, frame)
+        elif kind == "law":
             owner, part = part, owner  # one plot for all signals of a law
         if np.isfinite(y).any():
-            found.setdefault((quantity.kind, quantity.frame, part, unit), {})[owner or name] = y
+            found.setdefault((kind, frame, part, unit), {})[owner or name] = y
     looks = _looks(dict.fromkeys(name for curves in found.values() for name in curves))
+    rank = {(part, UNITS[part]): k for k, part in enumerate(CONTACT_REMARKS)} | rank
     for (kind, frame, *key), curves in sorted(found.items(), key=lambda each: rank.get(each[0][2:], len(rank))):
-        title, remark = titles.get(tuple(key), (f"{kind.capitalize()} {key[0]}".strip().replace("_", " "), frame))
+        owner = f" {next(iter(curves))}:" if kind == "contact" and len(curves) == 1 else ""
+        title = f"{kind.capitalize()}{owner} {key[0]}".strip().replace("_", " ")
+        title, remark = titles.get(tuple(key), (title, frame))
         visible = _chosen(curves) if chosen is None else chosen
         traces = _many_traces(times, curves, looks, visible, jump=np.pi if key[1] == "rad" else np.inf)
         plots.append((title, remark or frame, {**plane(traces, bands, key[1]), "pick": PICKS[kind]}))

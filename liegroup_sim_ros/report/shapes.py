@@ -12,12 +12,17 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
+import scipy
 
 from liegroup_core.errors import SceneError
+from liegroup_core.forces.contact import outline
 from liegroup_core.robots.access import trees
 from liegroup_core.robots.apart import triangulated
+from liegroup_core.robots.options import BASES, Options
+from liegroup_core.robots.read import is_robot_file
 from liegroup_core.robots.resources import readable_mesh
-from liegroup_core.scene.load import load_scene
+from liegroup_core.scene.load import find_scene, scene_of
+from liegroup_core.scene.robot_file import options_from
 from liegroup_sim_ros.numbers import counted
 
 MOST_TRIANGLES = 20_000  # in a page
@@ -64,19 +69,51 @@ def robot_shapes(robot, most=MOST_TRIANGLES):
     return found["shapes"], list(_remarks(found, missing, failed, most))
 
 
-def shapes_from(file, scene, most=MOST_TRIANGLES):
-    """`robot_shapes` of a robot file for a scene that was made of it. Raises SceneError if their bodies differ."""
-    robot = load_scene(file)
-    if robot.robot is None:
-        raise SceneError(f"--robot {file}: is not a robot file: give a URDF, SDF or MJCF file")
-    names = [{body.name for body in each.bodies} for each in (scene, robot)]
-    if names[0] != names[1]:
-        differing = min(names[0] ^ names[1])
-        raise SceneError(
-            f"--robot {file}: its bodies differ from those of the recording, for example in {differing}: give "
-            "the file that was simulated"
-        )
-    return robot_shapes(robot.robot, most)
+def shapes_from(file, scene, mapped=None, most=MOST_TRIANGLES):
+    """`robot_shapes` of a robot file for a scene that was made of it. Raises SceneError if their bodies differ.
+
+    mapped : Options.mapped of the run; None: unknown, so that the root link is fixed or floats as in the scene
+    """
+    if not is_robot_file(find_scene(file)):
+        ways = [None]
+    elif isinstance(mapped, dict):
+        ways = [options_from(mapped)]
+    else:
+        ways = [Options(base=base) for base in (None, *BASES)]
+    names = {body.name for body in scene.bodies}
+    for options in ways:
+        robot = scene_of(file, options)
+        if robot.robot is None:
+            raise SceneError(f"--robot {file}: is not a robot file: give a URDF, SDF or MJCF file")
+        own = {body.name for body in robot.bodies}
+        if own == names:
+            return robot_shapes(robot.robot, most)
+    raise SceneError(
+        f"--robot {file}: its bodies differ from those of the recording, for example in {min(names ^ own)}: give "
+        "the file that was simulated, or the scene file that refers to it and has its options"
+    )
+
+
+def contact_shapes(scene):
+    """{body: [shape]} of the bodies that have no shape but those of their contacts; all of these are convex."""
+    found, seen = {}, {body.name: [] for body in scene.bodies if body.shape is None}
+    for contact in (force for force in scene.forces if force.type == "contact"):
+        for name, shape in zip((contact.body, contact.other), contact.shapes):
+            if name in seen and shape not in seen[name]:
+                seen[name].append(shape)
+                points = outline(shape)
+                hull = scipy.spatial.ConvexHull(points)
+                low, high = points.min(axis=0), points.max(axis=0)
+                found.setdefault(name, []).append(
+                    {
+                        "points": base64.b64encode(points.astype("<f4").tobytes()).decode(),
+                        "faces": base64.b64encode(hull.simplices.astype("<i4").tobytes()).decode(),
+                        "at": (0.5 * (low + high)).tolist(),
+                        "size": (high - low).tolist(),
+                        "color": None,
+                    }
+                )
+    return found
 
 
 def box_of(shapes):

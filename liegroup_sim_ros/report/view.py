@@ -13,7 +13,7 @@ from liegroup_sim_ros.messages.markers import THINNEST, edges, links, solid
 from liegroup_sim_ros.messages.touching import arrows, measure, patches, radius
 
 from .plots import BASE, MANY_COLOURS, label
-from .shapes import box_of
+from .shapes import box_of, contact_shapes
 
 # Limits on the number of poses of all bodies and of frames. More would make the page large, fewer the motion jerky.
 MOST_PLACES, MOST_FRAMES, LEAST_FRAMES = 15_000, 3000, 200
@@ -24,8 +24,8 @@ COLOURFUL = 0.2  # least distance of the largest and the smallest of red, green 
 def make_view(analysis, shapes=None):
     """Data of the 3D view of an Analysis for page.js, JSON types; m, s, world axes.
 
-    shapes        : {body or world: [triangles]}, see shapes.robot_shapes; other bodies are drawn as solids with their
-                    inertia
+    shapes        : {body or world: [triangles]}, see shapes.robot_shapes; other bodies are drawn by the shapes of their
+                    contacts, or as solids with their inertia
     times, places : base64 of (k,) float64, and of (k, n, 7) float32: position and x y z w of the
                     body frames
     planes        : corners of the `patches` that contacts touch
@@ -35,6 +35,7 @@ def make_view(analysis, shapes=None):
     breaks        : last frames before a reset
     """
     scene, stretches = analysis.scene, analysis.motion.stretches
+    shapes = (shapes or {}) | {name: own for name, own in contact_shapes(scene).items() if not (shapes or {}).get(name)}
     layout = analysis.layout
     index = {body.name: i for i, body in enumerate(scene.bodies)}
     solids = [solid(body, scene) for body in scene.bodies]
@@ -110,7 +111,7 @@ def make_view(analysis, shapes=None):
         "forces": _packed(forces, "<f4"),
         "touching": _packed(np.concatenate([*touching, np.empty((0, 4))]), "<f4"),
         "ends": _packed(np.cumsum([len(each) for each in touching]), "<i4"),
-        "point": radius(scale[0], float(np.linalg.norm(high - low))),
+        "point": radius(scene, scale[0], float(np.linalg.norm(high - low))),
         "breaks": np.flatnonzero(np.diff(owner)).tolist(),
         "pushes": pushes[:MOST_PUSHES],
         "frames": len(pick),

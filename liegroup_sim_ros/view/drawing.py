@@ -119,7 +119,7 @@ class Drawing:
                 for k in range(0 if ghost else len(layout.touching.names))
             ]
         self._measure = measure(scene, 2.0 * self.boxes.halves.max(axis=1))
-        self._radius, self._points = radius(self._measure[0], self.size), {}
+        self._radius, self._points = radius(scene, self._measure[0], self.size), {}
         self._movers = [mover(server, handle) for handle in (*self._frames, *self._touches)]
         self._springs = [] if ghost else links(scene)
         self._handles, self._largest, self._trace = {}, {}, []

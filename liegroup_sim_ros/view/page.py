@@ -51,7 +51,10 @@ class Page:
         self.source, self._shapes, remarks = source, {}, []
         scene = source.layout.scene
         if robot is not None:
-            self._shapes, remarks = shapes_from(robot, scene, MOST_TRIANGLES)
+            recording = getattr(source, "recording", None)
+            self._shapes, remarks = shapes_from(
+                robot, scene, recording and recording.settings.get("robot"), MOST_TRIANGLES
+            )
         elif scene.robot is not None:
             self._shapes, remarks = robot_shapes(scene.robot, MOST_TRIANGLES)
         for remark in remarks:

@@ -105,7 +105,7 @@ class State:
         described = EXAMPLES[kind] if described is None else described
         for each in described:
             if kind == "contact":
-                body = SimpleNamespace(mass=1.0, shape=None, position=(0.0, 0.0, 0.0))
+                body = SimpleNamespace(mass=1.0, shape=None, position=(0.0, 0.0, 0.0), rotation=np.eye(3))
                 each.complete(dict.fromkeys(BODIES, body), (0.0, 0.0, -9.81))
         counted = kinds.unwrapped(described, turning=ON_JOINTS, sensors=sensors)
         self.forces = kinds.make_forces(described, INDEX, ends, counted, sensors=sensors)

@@ -73,6 +73,24 @@ def test_collision_shapes_of_each_format_become_the_same_contacts(kind, tmp_path
     assert "no contact, 5 collision shapes of trunk, shank, foot without effect" in "\n".join(without.notes)
 
 
+@pytest.mark.parametrize(
+    "of_gazebo, expected", [("", 0.9), ("<mu1>0.7</mu1><kp>1e6</kp>", 0.7), ('<mu1 value="0.7"/><kp>1e6</kp>', 0.7)]
+)
+def test_friction_of_a_contact_element(of_gazebo, expected, tmp_path):
+    """Bullet's lateral_friction, and mu1 of Gazebo as a text or as an attribute; a note names what is not mapped."""
+    contact = '<contact><lateral_friction value="0.9"/><stiffness value="3e4"/></contact>'
+    text = FILES["urdf"].replace('<link name="foot">', f'<link name="foot">{contact}')
+    text = text.replace("<mu1>0.8</mu1>", of_gazebo).replace("</geometry></collision>", "</geometry>{}</collision>", 1)
+    path = written(tmp_path / "legs.urdf", text.format('<contact_coefficients mu="0"/>'))
+    scene = on_ground(path)
+    assert {each.name: each.friction for each in contacts(scene)}["foot_ground"] == expected
+    left = "\n".join(note for note in scene.notes if note.startswith("left out"))
+    assert "stiffness in <contact> of links (foot)" in left
+    assert "contact_coefficients of links (trunk)" in left
+    assert ("numbers of contacts in <gazebo>, but for mu1 (foot)" in left) == bool(of_gazebo)
+    assert "contact of links" not in left and "gazebo (trunk)" not in left
+
+
 def test_a_box_with_legs_is_dropped_and_stands(tmp_path):
     """Four equal feet bear the weight: they sink a quarter of `sinks` in the mean. Friction holds them apart."""
     foot = '<collision><origin xyz="{} {} -0.3"/><geometry><sphere radius="0.05"/></geometry></collision>'

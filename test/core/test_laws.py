@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 from volume import some
 
 from liegroup_core import SceneError, Simulation
-from liegroup_core.forces import formulas
+from liegroup_core.forces import formulas, law
 from liegroup_core.forces.formulas import FUNCTIONS, FormulaError, Program, differentiate, evaluate, table_arrays
 from liegroup_core.forces.skipping import arrange
 from liegroup_core.identification import Log, Measured, identify
@@ -629,3 +629,13 @@ def test_a_log_is_fitted_by_laws_of_the_time(limits):
     found = identify(other, Log((), (measured,)), ["own.parameters.kp"], workers=1)
     assert abs(found.values[0] - 6.0) < 5 * found.deviations[0] < 0.05
     assert found.comparison.agrees
+
+
+def test_the_laws_of_equal_scenes_are_compiled_once(monkeypatch):
+    """An analysis makes several simulations of the scene of a recording; a robot with contacts has large laws."""
+    text = text_of("pendulum_laws.yaml") + "forces: [{name: lift, type: law, signals: {a: 2*t}}]"
+    assert [*law.signals_of(scene_from_text(text).forces)] == ["lift.a"]
+    monkeypatch.setattr(law, "arrange", None)
+    assert [*law.signals_of(scene_from_text(text).forces)] == ["lift.a"]
+    with pytest.raises(TypeError):
+        law.signals_of(scene_from_text(text.replace("2*t", "3*t")).forces)

@@ -23,6 +23,7 @@ from liegroup_core.reference.elliptic import free_body, heavy_top, to_floats
 from liegroup_core.reference.trajectory import Distance
 from liegroup_core.scene.load import scene_from_text
 from liegroup_core.study import tasks
+from liegroup_sim_ros.analysis import local_error
 from liegroup_sim_ros.analysis.analyse import analyse
 from liegroup_sim_ros.analysis.bounds import find_exceeded
 from liegroup_sim_ros.analysis.comparison import compare
@@ -91,6 +92,29 @@ def test_observed_order_and_one_step_error(tmp_path, method, order, step):
     true = np.linalg.norm(one.sample().positions["top"] - fine.sample().positions["top"])
     # The largest of eight places, so at least about the one at the start; 1/32^p is left out.
     assert 0.5 * true <= figures["position_m"] <= 30.0 * true
+
+
+def test_the_error_of_a_step_with_error_control_takes_three_steps_a_window(tmp_path, monkeypatch):
+    """One step and two halves: its error has no order, so that no other steps are needed."""
+    simulation = Simulation(scene_from_text(TOP), accuracy=1e-6, step=0.01)
+    with write_run.LogFile(tmp_path / "run.mcap", simulation, 1, 0) as file:
+        for _ in range(20):
+            simulation.advance(1)
+            file.sample(simulation.sample())
+        file.finish(simulation, None, False, 1.0)
+    taken, advance = [], local_error.WorkLimit.advance
+
+    def counting(self, simulation, steps):
+        taken.append(steps)
+        advance(self, simulation, steps)
+
+    recording = read_recording(tmp_path / "run.mcap")
+    motion = RecordedMotion(recording, simulation.layout)
+    list(motion.blocks())
+    monkeypatch.setattr(local_error.WorkLimit, "advance", counting)
+    figures = local_error.local_error(simulation.scene, recording, motion, simulation.layout)
+    assert figures["windows"] == local_error.WINDOWS == 8 and figures["order"] is None
+    assert sum(taken) == 3 * 8
 
 
 def test_trend_and_curves_of_a_drift():

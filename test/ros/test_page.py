@@ -14,7 +14,9 @@ from liegroup_core import load_scene
 from liegroup_core.fields import values
 from liegroup_core.scene.load import scene_from_text
 from liegroup_sim_ros.commands.main import main
+from liegroup_sim_ros.messages.touching import radius
 from liegroup_sim_ros.recording.read import read_recording
+from liegroup_sim_ros.report.shapes import contact_shapes, decoded
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs chromium")
 DARK_CARD, LIGHT_CARD = "rgb(29, 33, 39)", "rgb(255, 255, 255)"
@@ -300,3 +302,34 @@ def test_hostile_names_are_shown_and_never_executed(browser, tmp_path, monkeypat
         is None
     )
     assert browser.run("fetch('https://example.org').then(() => 'sent', () => 'refused')") == "refused"
+
+
+SHAPES = {  # a contact shape, and its volume in m^3
+    "{type: sphere, radius: 0.1}": 4 / 3 * np.pi * 1e-3,
+    "{type: capsule, radius: 0.1, length: 0.3, axis: [1, 0, 0]}": np.pi * 0.01 * 0.3 + 4 / 3 * np.pi * 1e-3,
+    "{type: cylinder, radius: 0.1, length: 0.3, position: [0, 0, 0.2]}": np.pi * 0.01 * 0.3,
+    "{type: box, size: [0.1, 0.2, 0.3]}": 0.006,
+    "{type: hull, points: [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]}": 1 / 6,
+}
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_a_body_without_a_shape_is_drawn_by_that_of_its_contact(shape):
+    """Its outline has the volume of the shape, but for the facets; and the point of contact is seen below a ball."""
+    scene = scene_from_text(
+        "{name: a, gravity: [0, 0, -9.81], bodies: [{name: foot, mass: 1, inertia: [0.3, 0.3, 0.3]}],"
+        f"forces: [{{name: floor, type: contact, body: foot, sinks: 1.0e-4, restitution: 0.5, shape: {shape}}}]}}"
+    )
+    (drawn,) = contact_shapes(scene)["foot"]
+    points, faces = decoded(drawn)
+    ends = points[faces].astype(float) - points.mean(axis=0)
+    volume = np.abs(np.linalg.det(ends)).sum() / 6.0
+    # With an angle a = 2 pi / 32 between points, circles lack a^2 / 6 of their area. Chords across are a^2 / 12 of the
+    # radius below the surface in the mean, so that a ball lacks a^2 / 4 of its volume.
+    assert volume == pytest.approx(SHAPES[shape], rel=(1.0 / 6.0 + 1.0 / 4.0) * (2.0 * np.pi / 32) ** 2)
+    lowest = points[:, 2].min()
+    assert drawn["at"][2] - 0.5 * drawn["size"][2] == pytest.approx(lowest, abs=1e-6)
+    ball = scene.forces[0].shapes[0]
+    if ball.type in ("sphere", "capsule"):
+        # Seen from 25 degrees above, the ball ends R below its centre, the octahedron (R + r) cos(25 degrees).
+        assert (ball.radius + radius(scene, 0.2, 1.0)) * np.cos(np.radians(25.0)) > 1.1 * ball.radius

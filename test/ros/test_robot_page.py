@@ -20,7 +20,7 @@ from liegroup_sim_ros.commands.main import main
 from liegroup_sim_ros.messages.description import robot_description
 from liegroup_sim_ros.playback.resimulate import resimulate
 from liegroup_sim_ros.recording import read_recording
-from liegroup_sim_ros.report.shapes import MOST_TRIANGLES, decoded, robot_shapes
+from liegroup_sim_ros.report.shapes import MOST_TRIANGLES, decoded, robot_shapes, shapes_from
 from liegroup_sim_ros.report.view import make_view
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
@@ -186,6 +186,27 @@ def test_the_page_draws_meshes_within_its_bound(tmp_path, capsys, monkeypatch):
     assert main([*report, "ball.urdf"]) == 0
     assert "drawn as boxes, because trimesh is not installed" in capsys.readouterr().err
     assert ball["points"] not in Path("run.html").read_text()
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_visuals_of_a_robot_that_floats(tmp_path, monkeypatch, told):
+    """The recording says how the file was mapped; of an imported scene, it is found whether the root link floats."""
+    monkeypatch.chdir(tmp_path)
+    Path("arm.urdf").write_text(ROBOT)
+    options = ["--base", "floating", *(["--lock", "elbow=0.5"] if told else [])]
+    assert main(["import", "arm.urdf", *options, "--out", "arm.yaml"]) == 0
+    run = ["arm.urdf", *options] if told else ["arm.yaml"]
+    assert main(["run", *run, "--duration", "0.1", "--out", "run.mcap"]) == 0
+    shapes, _ = shapes_from("arm.urdf", load_scene("arm.yaml"), read_recording("run.mcap").settings.get("robot"))
+    if told:  # a box along x up to 0.5 m, and beyond the locked elbow a cylinder across its end: one mesh
+        c, s = np.cos(0.5), np.sin(0.5)
+        expected = 0.5 * (0.5 + 0.2 * c + 0.2 * s + 0.03 * c), 0.0, -0.2 * s
+        assert shapes["upper"][0]["at"] == pytest.approx(expected, abs=1e-4)  # it has some 30 facets
+    else:
+        assert shapes["upper"][0]["at"] == pytest.approx((0.25, 0, 0))
+        assert shapes["lower"][0]["at"] == pytest.approx((0.2, 0, 0))
+    report = ["analyze", "run.mcap", "--no-reference", "--html", "run.html", "--robot", "arm.urdf"]
+    assert main(report) == 0
 
 
 def test_the_page_lists_what_does_not_act(tmp_path, monkeypatch):

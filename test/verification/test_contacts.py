@@ -2,6 +2,7 @@
 """Contacts: closed forms of drops, impacts, sliding, rolling and standing; distances against minimisation."""
 
 import math
+from contextlib import nullcontext
 from itertools import product
 
 import numpy as np
@@ -13,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from liegroup_core import SceneError, Simulation
 from liegroup_core.engine import Engine
-from liegroup_core.forces.contact import SHORT
+from liegroup_core.forces.contact import SHORT, damping_of
 from liegroup_core.lie.groups import SO3
 from liegroup_core.linear import TrimError, linearise, modes_of, sensitivities, trim
 from liegroup_core.reports import explain
@@ -720,13 +721,13 @@ def test_a_bar_on_a_box_bears_on_the_ends_of_what_touches(length, aside):
 
 def test_a_standing_ball_is_a_spring_and_its_motion_is_linear():
     """lambda^2 = -k/m for the height; rolling is free, and friction holds the point of contact."""
-    made = ball("stiffness: 2e4, damping: 0, friction: 0.5, slip: 1e-4, settles: 0", RADIUS - 2 * G / 2e4)
+    made = ball("stiffness: 2e4, damping: 0, friction: 0.5, slip: 1e-4, settles: 1e-4", RADIUS - 2 * G / 2e4)
     values = np.linalg.eigvals(linearise(Simulation(made, quiet=True)).A)
     assert np.abs(values.imag).max() >= math.sqrt(2e4 / 2) * (1 - 1e-9)
-    # The bristle: stiffness mu m g / slip at the mass 2/7 m, as the ball turns, too.
-    tangential = math.sqrt(0.5 * G / 1e-4 * 7 / 2)
-    for rate in (math.sqrt(2e4 / 2), tangential):
-        assert np.abs(values - 1j * rate).min() <= 1e-6 * rate
+    # The bristle: stiffness mu m g / slip at the mass 2/7 m, as the ball turns, too; lambda^2 = -w^2 (1 + tau lambda).
+    square = 0.5 * G / 1e-4 * 7 / 2
+    for rate in (1j * math.sqrt(2e4 / 2), np.roots([1.0, square * 1e-4, square])[0]):
+        assert np.abs(values - rate).min() <= 1e-6 * abs(rate)
 
 
 def test_derivatives_of_a_bounce_are_those_of_its_closed_form():
@@ -774,12 +775,69 @@ def test_derivatives_of_a_bounce_are_those_of_its_closed_form():
         ("sinks: 1e-3, damping: 1, friction: 1e3", "friction must be at most 100"),
         ("sinks: 1e-3, damping: 1, friction: 1, slip: 1e-20", "slip of 1e-20 m; double precision resolves 2.2e-14 m"),
         ("sinks: 1e-3, damping: 1, friction: 1, settles: 1e9", "settles must be at most"),
+        ("sinks: 1e-3, damping: 1, friction: 1, settles: 0", "settles must be at least 1e-05 s, 0.001 times sqrt"),
+        ("stiffness: 1e5, damping: 1, load: 20", "^test:6: .*load has no effect without sinks or friction"),
         ("sinks: 1e-3, damping: 1, slip: 1e-4", "slip has no effect without friction"),
     ],
 )
 def test_a_wrong_contact_is_refused_in_one_line(change, reason):
     with pytest.raises(SceneError, match=reason):
         ball(change)
+
+
+@pytest.mark.parametrize(
+    "other, place, is_refused",
+    [
+        ("sphere, radius: 0.2", (1, 2, 3), True),
+        ("sphere, radius: 0.2", (1, 2, 3.01), False),
+        ("capsule, radius: 0.1, length: 0.4", (1, 2, 3.1), True),  # its axis begins 0.1 m below
+        ("capsule, radius: 0.1, length: 0.4, axis: [1, 0, 0]", (1.1, 2, 3), True),
+        ("capsule, radius: 0.1, length: 0.4, axis: [1, 0, 0]", (1.1, 2, 2.95), False),
+    ],
+)
+@pytest.mark.parametrize("mine", ["sphere, radius: 0.1", "capsule, radius: 0.1, length: 0.2, axis: [0, 1, 0]"])
+def test_round_bodies_that_start_in_one_point_are_refused(mine, other, place, is_refused):
+    """Nothing says in which direction they push; they would pass through each other."""
+    bodies = [
+        f"{{name: {name}, mass: 1, inertia: [1, 1, 1], position: {list(at)}}}"
+        for name, at in (("a", (1, 2, 3)), ("b", place))
+    ]
+    keys = f"sinks: 1e-3, damping: 1, shape: {{type: {mine}}}, other: b, other_shape: {{type: {other}}}"
+    with pytest.raises(SceneError, match="a and b start with .* in one point") if is_refused else nullcontext():
+        scene(bodies, [f"name: c, body: a, {keys}"])
+
+
+def test_figures_of_the_page_on_weight_and_on_unloaded_friction():
+    """A drop at 1 m/s for the restitution 0.5, by an integration of its own; and the first slip of a block."""
+    load, sinks = 2 * G, 1e-4
+    k, c = load / sinks, damping_of(0.5, 1.0)
+
+    def leaves(_, y):
+        return y[0]
+
+    leaves.terminal, leaves.direction = True, -1.0
+    fall = scipy.integrate.solve_ivp(
+        lambda _, y: (y[1], G - k * y[0] * (1.0 + c * y[1]) / 2.0), (0.0, 0.1), (0.0, 1.0), events=leaves,
+        rtol=1e-10, atol=1e-14,
+    )  # fmt: skip
+    expected = -fall.y_events[0][0][1]
+    assert f"{expected:.3f}" == "0.470"
+    simulation = Simulation(ball(f"sinks: {sinks}, restitution: 0.5", RADIUS, 0.0, -1.0), accuracy=1e-8, quiet=True)
+    while simulation.sample().signals["floor.normal_force"] > 0.0 or simulation.time == 0.0:
+        simulation.advance_to(simulation.time + 1e-5)
+    # Since then it has lost g 1e-5 s at the most.
+    assert simulation.sample().twist[0, 5] == pytest.approx(expected, abs=G * 1e-5 + 1e-7)
+    angle, body = math.atan(0.98 * 0.5), "{name: block, shape: {type: box, size: [0.4, 0.3, 0.2], mass: 2}, %s}"
+    above = 0.1 - 0.25 * sinks * math.cos(angle)  # where its weight rests on four points
+    turned = f"rotation_vector: [0, {angle}, 0], position: [{above * math.sin(angle)}, 0, {above * math.cos(angle)}]"
+    plane = f"plane: {{point: [0, 0, 0], normal: [{math.sin(angle)}, 0, {math.cos(angle)}]}}"
+    keys = f"body: block, sinks: {sinks}, restitution: 0.1, friction: 0.5, {plane}"
+    block = scene([body % turned], [f"name: floor, {keys}"])
+    simulation = Simulation(block, accuracy=1e-6, quiet=True)
+    start = simulation.sample().pose[0, 9:]
+    simulation.advance_to(5.0)
+    moved = simulation.sample().pose[0, 9:] - start
+    assert f"{1e3 * moved @ (math.cos(angle), 0.0, -math.sin(angle)):.2f}" == "0.10"
 
 
 def test_points_that_press_are_known_and_planes_are_drawn_around_them():
