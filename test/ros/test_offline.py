@@ -9,10 +9,12 @@ import sys
 
 import numpy as np
 import pytest
+from golden import few_steps
 from mcap.reader import make_reader
 from rcl_interfaces.msg import Log
 from rclpy.serialization import deserialize_message, serialize_message
 from scene_files import text_of
+from volume import VERIFY
 
 from liegroup_core import Simulation, load_scene
 from liegroup_sim_ros.analysis.analyse import analyse
@@ -360,8 +362,12 @@ def test_describe_prints_a_summary(capsys):
 
 
 @pytest.mark.turn(3)
-def test_figures(tmp_path, capsys):
+def test_figures(tmp_path, capsys, monkeypatch):
+    """The rotation figures with few steps, as in test_rotation.py."""
     pytest.importorskip("matplotlib")
+    if not VERIFY:
+        monkeypatch.setattr("liegroup_sim_ros.chapter.rotation_figures.PANELS", few_steps())
+        monkeypatch.setattr("liegroup_sim_ros.chapter.rotation_figures.TOP_INTEGRALS", {})
     assert main(["figures", "--out", str(tmp_path)]) == 0
     for name in ("fig_6_2", "fig_6_4", "fig_6_5"):
         data = (tmp_path / f"{name}.png").read_bytes()
