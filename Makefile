@@ -14,6 +14,8 @@ ifeq ($(ROS),wheels)
 # Variables of another ROS environment would hide the wheels.
 unexport PYTHONPATH LD_LIBRARY_PATH AMENT_PREFIX_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
 endif
+# Without files of bytecode, each of the hundreds of processes of a test run compiles all modules again.
+unexport PYTHONDONTWRITEBYTECODE
 # If either of the two changes, .venv is rebuilt.
 MADE = .venv/$(VERSION)-$(ROS)
 

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """End states of example scenes, from Taylor series of the polynomial equations of motion in 45 digits."""
 
+from dataclasses import replace
+
 import numpy as np
 
 # (scene, time in s): the rows of R, then the angular velocity in body axes.
@@ -24,3 +26,13 @@ DIGITS = {
 }
 END = {key: np.array(digits.split(), dtype=float).reshape(4, 3) for key, digits in DIGITS.items()}
 HEAVY_TOP_CENTRE = np.array([0.36169409987026524, -0.09421884436919646, 0.33211472036748346])  # centre of mass, 6 s
+
+
+def few_steps():
+    """Panels of the rotation figures, of which each has three steps."""
+    from liegroup_sim_ros.chapter.rotation_figures import PANELS
+
+    return [
+        replace(p, steps=p.steps[2:5], elsewhere={method: values[2:5] for method, values in p.elsewhere.items()})
+        for p in PANELS
+    ]

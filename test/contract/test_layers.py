@@ -8,6 +8,7 @@ of its own floor.
 """
 
 import ast
+import functools
 import re
 from pathlib import Path
 
@@ -42,6 +43,9 @@ def modules():
     return found
 
 
+tree_of = functools.cache(ast.parse)
+
+
 def named_by(text, name, package, known):
     """Modules of `known` that a text may name, as it is or in a call such as import_module."""
     own = {"__name__": name, "__package__": package}
@@ -55,13 +59,13 @@ def named_by(text, name, package, known):
 def imports_of(name, path, known):
     """Modules of `known` that a module imports, at module level, inside functions or by their names."""
     package = name if path.name == "__init__.py" else name.rpartition(".")[0]
-    nodes = list(ast.walk(ast.parse(path.read_text())))
+    nodes = list(ast.walk(tree_of(path.read_text())))
     froms = [each for node in nodes if isinstance(node, ast.ImportFrom) for each in node.names]
     calls = (*IMPORTING, *(each.asname for each in froms if each.asname and each.name in IMPORTING))
     for node in nodes:
         if isinstance(node, ast.Import):
             yield from (each.name for each in node.names if each.name in known)
-        elif isinstance(node, ast.Call) and ast.unparse(node.func).split(".")[-1] in calls:
+        elif isinstance(node, ast.Call) and getattr(node.func, "attr", getattr(node.func, "id", None)) in calls:
             for text in (*node.args[:1], *(each.value for each in node.keywords if each.arg == "name")):
                 yield from named_by(text, name, package, known)
         elif isinstance(node, ast.Constant) and "." in str(node.value) and (name, node.value) not in PROCESSES:
@@ -116,7 +120,7 @@ def names_of_several(sources):
     """Public names of classes that several of the sources {module: text} define: {name: modules}."""
     found = {}
     for module, text in sources.items():
-        for node in ast.walk(ast.parse(text)):
+        for node in ast.walk(tree_of(text)):
             if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
                 found.setdefault(node.name, []).append(module)
     return {name: where for name, where in found.items() if len(where) > 1}
@@ -186,7 +190,7 @@ def test_an_import_inside_a_function_or_by_a_call_is_found(tmp_path, text, found
 
 
 def test_only_some_rooms_import_ros():
-    found = {name for name, path in modules().items() if any(map(ROS.fullmatch, roots_of(ast.parse(path.read_text()))))}
+    found = {name for name, path in modules().items() if any(map(ROS.fullmatch, roots_of(tree_of(path.read_text()))))}
     assert found and not [name for name in found if not name.startswith(WITH_ROS)]
     text = "import os, rclpy.node\ndef f():\n    from std_msgs.msg import String\n    from . import std_srvs"
     assert roots_of(ast.parse(text)) == {"os", "rclpy", "std_msgs"}

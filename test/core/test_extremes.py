@@ -120,7 +120,7 @@ def test_reference_solutions_agree_with_the_independent_integration():
 
 
 @pytest.mark.slow
-@pytest.mark.turn(3)
+@pytest.mark.turn(6)
 def test_the_quick_map_has_no_undetected_error():
     cells = []
     for columns, _, found, _ in survey(axes_of(), quick=True, methods=some(METHODS, 3), workers=1):

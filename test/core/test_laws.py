@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Laws: formulas against 50 digits, hostile texts, and mechanisms under laws against SciPy."""
 
+import functools
 import math
 import warnings
 
@@ -370,6 +371,7 @@ WINDING = at_hinge(
 )
 
 
+@functools.cache
 def _with_states(start, slopes, duration, limit=np.inf):
     """(q, w, states) of the pendulum under effort slopes(...)[0] with states of rates slopes(...)[1:], by SciPy."""
 
@@ -385,10 +387,16 @@ def _winding(t, q, w, current):
     return 0.9 * current, (6 * np.sin(5 * t) - 1.3 * current - 0.9 * w) / 0.004
 
 
+def _pid(t, q, w, i, a):
+    e = 0.5 * np.sin(2 * t) - q
+    u = 6 * e + 4 * i - 0.4 * w
+    return a, e if abs(u) < 3 or e * u < 0 else 0.0, (min(max(u, -3), 3) - a) / 0.05
+
+
 @pytest.mark.parametrize("method", ["rkmk4", "rkmk8", "generalized_alpha", "constrained_rattle", "radau5"])
 def test_states_of_laws_have_the_order_of_every_method(method):
     """A motor with inductance, time constant 3 ms: fitted slopes of motion and current."""
-    known, errors = _with_states([0.0], _winding, 0.5), []
+    known, errors = _with_states((0.0,), _winding, 0.5), []
     order = {"rkmk4": 4, "rkmk8": 8, "generalized_alpha": 2, "constrained_rattle": 2, "radau5": 5}[method]
     steps = np.array([1 / 512, 1 / 1024, 1 / 2048] if order < 5 else [1 / 256, 1 / 384, 1 / 512])
     for step in steps:
@@ -406,13 +414,7 @@ def test_states_of_laws_have_the_order_of_every_method(method):
 @pytest.mark.parametrize("group", ["auto", "se3"])
 def test_a_controller_with_states_runs_to_an_accuracy(accuracy, group):
     """PID with anti-windup and a lag, whose integral stops at kinks; by SciPy in steps of 1 ms."""
-
-    def slopes(t, q, w, i, a):
-        e = 0.5 * np.sin(2 * t) - q
-        u = 6 * e + 4 * i - 0.4 * w
-        return a, e if abs(u) < 3 or e * u < 0 else 0.0, (min(max(u, -3), 3) - a) / 0.05
-
-    known = _with_states([0.0, 0.2], slopes, 2.0, limit=1e-3)
+    known = _with_states((0.0, 0.2), _pid, 2.0, limit=1e-3)
     simulation = Simulation(pendulum(PID), accuracy=accuracy, group=group, quiet=True)
     simulation.advance_to(2.0)
     sample = simulation.sample()

@@ -641,18 +641,17 @@ def test_a_servo_of_the_user_replaces_that_of_the_file(tmp_path):
     assert [each.joint for each in scene.forces] == ["i"] and not scene.differences
 
 
-@pytest.mark.parametrize(("version", "noted"), [("1.12", False), ("1.13", True), ("2.0", True)])
-def test_newer_versions_of_sdf_are_noted(version, noted, tmp_path):
-    text = '<model name="m"><link name="a"><inertial><mass>1</mass></inertial></link></model>'
-    note = f"SDF version above 1.12, read by the rules of 1.12: {version}"
-    assert (note in load_scene(sdf(tmp_path, text, version)).notes) == noted
+NEW = "SDF version above 1.12, read by the rules of 1.12: {}"
+OLD = "SDF version before 1.7, read by the rules of 1.7, except for the axes of its joints: {}"
 
 
-@pytest.mark.parametrize(("version", "noted"), [("1.5", True), ("1.6", True), ("1.7", False)])
-def test_older_versions_of_sdf_are_noted(version, noted, tmp_path):
+@pytest.mark.parametrize(
+    "version, note", [("1.5", OLD), ("1.6", OLD), ("1.7", ""), ("1.12", ""), ("1.13", NEW), ("2.0", NEW)]
+)
+def test_other_versions_of_sdf_are_noted(version, note, tmp_path):
     text = '<model name="m"><link name="a"><inertial><mass>1</mass></inertial></link></model>'
-    note = f"SDF version before 1.7, read by the rules of 1.7, except for the axes of its joints: {version}"
-    assert (note in load_scene(sdf(tmp_path, text, version)).notes) == noted
+    notes = load_scene(sdf(tmp_path, text, version)).notes
+    assert [each for each in notes if "version" in each] == [note.format(version)] * bool(note)
 
 
 def test_model_config_names_the_file_of_a_model(tmp_path, monkeypatch):

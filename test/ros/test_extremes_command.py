@@ -13,26 +13,8 @@ from liegroup_sim_ros.commands.main import main
 
 def test_table_picture_and_json(tmp_path, capsys):
     picture, cells = tmp_path / "map.png", tmp_path / "map.json"
-    assert (
-        main(
-            [
-                "extremes",
-                "--axes",
-                "step_free",
-                "--methods",
-                "rkmk4",
-                "rkmk8",
-                "--quick",
-                "--workers",
-                "1",
-                "--png",
-                str(picture),
-                "--json",
-                str(cells),
-            ]
-        )
-        == 0
-    )
+    command = f"extremes --axes step_free --methods rkmk4 rkmk8 --quick --workers 1 --png {picture} --json {cells}"
+    assert main(command.split()) == 0
     shown = capsys.readouterr().out
     assert "step, free body over 16 s, s" in shown and "silent 0" in shown
     found = json.loads(cells.read_text())
@@ -67,31 +49,12 @@ def test_an_interrupted_map_keeps_its_cells(tmp_path, capsys, monkeypatch):
 
 
 def test_a_user_scene_is_mapped(capsys):
-    assert (
-        main(["extremes", "free_body", "--horizon", "0.5", "--axes", "step", "--methods", "rkmk4", "--workers", "1"])
-        == 0
-    )
+    assert main("extremes free_body --horizon 0.5 --axes step --methods rkmk4 --workers 1".split()) == 0
     assert "accurate 9" in capsys.readouterr().out
 
 
 def test_a_scene_at_rest_has_no_speeds_and_quick_is_quick(capsys):
-    assert (
-        main(
-            [
-                "extremes",
-                "double_pendulum",
-                "--horizon",
-                "0.5",
-                "--quick",
-                "--methods",
-                "rkmk8",
-                "rattle",
-                "--workers",
-                "1",
-            ]
-        )
-        == 0
-    )
+    assert main("extremes double_pendulum --horizon 0.5 --quick --methods rkmk8 rattle --workers 1".split()) == 0
     shown, said = capsys.readouterr()
     # Every third of nine steps, for the one method that is for it.
     heads, row = (line.split() for line in shown.splitlines()[1:3])

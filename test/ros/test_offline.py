@@ -9,10 +9,12 @@ import sys
 
 import numpy as np
 import pytest
+from golden import few_steps
 from mcap.reader import make_reader
 from rcl_interfaces.msg import Log
 from rclpy.serialization import deserialize_message, serialize_message
 from scene_files import text_of
+from volume import VERIFY
 
 from liegroup_core import Simulation, load_scene
 from liegroup_sim_ros.analysis.analyse import analyse
@@ -170,29 +172,11 @@ def test_one_of_a_kind_has_no_plural(tmp_path, capsys):
 
 def test_npz_arrays_equal_those_of_the_simulation(tmp_path, capsys):
     path = tmp_path / "a.npz"
-    assert (
-        main(
-            [
-                "run",
-                "double_pendulum",
-                "--duration",
-                "0.095",
-                "--every",
-                "10",
-                "--step",
-                "1e-3",
-                "--method",
-                "rkmk8",
-                "--group",
-                "so3xr3",
-                "--stabilisation",
-                "projection",
-                "--out",
-                str(path),
-            ]
-        )
-        == 0
+    command = (
+        "run double_pendulum --duration 0.095 --every 10 --step 1e-3 --method rkmk8 --group so3xr3 "
+        f"--stabilisation projection --out {path}"
     )
+    assert main(command.split()) == 0
     assert capsys.readouterr().out.startswith(f"{path}: 0.095 s in 95 steps, 11 samples")
     found = np.load(path)
     assert found["steps"].tolist() == [*range(0, 91, 10), 95]
@@ -265,25 +249,7 @@ def test_a_recording_with_arrays_has_the_same_motion(tmp_path, monkeypatch):
 def test_a_failed_run_leaves_the_samples_before_the_failure(tmp_path, capsys, suffix):
     """The top rotates by 15 rad in a step of 0.1 s, beyond the limit 2 pi."""
     path = tmp_path / f"a.{suffix}"
-    assert (
-        main(
-            [
-                "run",
-                "lagrangian_top",
-                "--method",
-                "rkmk4",
-                "--duration",
-                "1",
-                "--step",
-                "0.1",
-                "--every",
-                "1",
-                "--out",
-                str(path),
-            ]
-        )
-        == 1
-    )
+    assert main([*"run lagrangian_top --method rkmk4 --duration 1 --step 0.1 --every 1 --out".split(), str(path)]) == 1
     said = capsys.readouterr().err.splitlines()[-1]
     assert said.startswith("liegroup_sim: stopped at t = 0 s") and "smaller step" in said
     if suffix == "npz":
@@ -360,8 +326,12 @@ def test_describe_prints_a_summary(capsys):
 
 
 @pytest.mark.turn(3)
-def test_figures(tmp_path, capsys):
+def test_figures(tmp_path, capsys, monkeypatch):
+    """The rotation figures with few steps, as in test_rotation.py."""
     pytest.importorskip("matplotlib")
+    if not VERIFY:
+        monkeypatch.setattr("liegroup_sim_ros.chapter.rotation_figures.PANELS", few_steps())
+        monkeypatch.setattr("liegroup_sim_ros.chapter.rotation_figures.TOP_INTEGRALS", {})
     assert main(["figures", "--out", str(tmp_path)]) == 0
     for name in ("fig_6_2", "fig_6_4", "fig_6_5"):
         data = (tmp_path / f"{name}.png").read_bytes()

@@ -52,9 +52,7 @@ def pages(tmp_path_factory):
                 str(folder / "*.mcap"),
                 "--html",
                 str(folder / "many.html"),
-                "--no-reference",
-                "--max-drift",
-                "1e-12",
+                *"--no-reference --max-drift 1e-12".split(),
             ]
         )
         == 2

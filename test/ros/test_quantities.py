@@ -178,15 +178,7 @@ def test_each_quantity_is_in_plots_frames_and_on_the_page(made):
 def test_other_names_of_columns_are_read_and_unknown_ones_refused():
     scene = scene_from_text(ARM)
     catalogue = Simulation(scene, **SETTINGS, quiet=True).layout.catalogue
-    former = [
-        "hinge.torque_x",
-        "rail.force_z",
-        "rail.drive_effort",
-        "residual",
-        "imu.wx",
-        "encoder.position",
-        "hinge.fx",
-    ]
+    former = "hinge.torque_x rail.force_z rail.drive_effort residual imu.wx encoder.position hinge.fx".split()
     now = ["hinge.tx", "rail.fz", "rail.effort", "constraint_residual", "imu.4", "encoder.0", "hinge.fx"]
     assert catalogue.names(former) == now and catalogue.names([*now, *former]) == now
     assert [each for name in former for each in outputs_of(name, scene)] == now

@@ -15,21 +15,8 @@ from liegroup_sim_ros.commands.main import main
 
 # A free body that falls: z = -g/2 t^2 + v t, whatever its mass.
 FALL = text_of("fall.yaml")
-ARGUMENTS = [
-    "--vary",
-    "linear_velocity.2=1:3",
-    "mass=1:9:log",
-    "--vary",
-    "gravity.2=-9.9:-9.7",
-    "--samples",
-    "20",
-    "--duration",
-    "0.5",
-    "--method",
-    "rkmk4",
-    "--step",
-    "0.01",
-]
+VARIED = "--vary linear_velocity.2=1:3 mass=1:9:log --vary gravity.2=-9.9:-9.7"
+ARGUMENTS = f"{VARIED} --samples 20 --duration 0.5 --method rkmk4 --step 0.01".split()
 
 
 @pytest.fixture

@@ -44,19 +44,7 @@ def test_trade_output_from_cached_measurements(measured, tmp_path, capsys):
     arguments = [
         "trade",
         SCENE,
-        "--horizon",
-        "0.5",
-        "--methods",
-        "rkmk4",
-        "rkmk8",
-        "--groups",
-        "se3",
-        "--stabilisation",
-        "none",
-        "--budget",
-        "0.01",
-        "--workers",
-        "1",
+        *"--horizon 0.5 --methods rkmk4 rkmk8 --groups se3 --stabilisation none --budget 0.01 --workers 1".split(),
     ]
     assert main([*arguments, "--json", str(files[0]), "--html", str(files[1]), "--png", str(files[2])]) == 0
     out = capsys.readouterr().out
@@ -84,30 +72,11 @@ def test_trade_output_from_cached_measurements(measured, tmp_path, capsys):
 def test_the_html_report_on_a_screen_and_on_a_phone(measured, tmp_path):
     """Words are not broken, values are beside their names, nothing exceeds the phone's width."""
     page = tmp_path / "a.html"
-    assert (
-        main(
-            [
-                "trade",
-                SCENE,
-                "--horizon",
-                "0.5",
-                "--methods",
-                "rkmk4",
-                "rkmk8",
-                "--groups",
-                "se3",
-                "--stabilisation",
-                "none",
-                "--budget",
-                "0.01",
-                "--workers",
-                "1",
-                "--html",
-                str(page),
-            ]
-        )
-        == 0
+    command = (
+        f"trade {SCENE} --horizon 0.5 --methods rkmk4 rkmk8 --groups se3 --stabilisation none --budget 0.01 "
+        f"--workers 1 --html {page}"
     )
+    assert main(command.split()) == 0
     browser = Browser(tmp_path / "browser")
 
     def lines(what):

@@ -41,13 +41,8 @@ from liegroup_sim_ros.view.server import close_server, open_server  # noqa: E402
 from liegroup_sim_ros.view.source import History  # noqa: E402
 
 CHROMIUM = shutil.which("chromium")
-DRAWS = [
-    "--no-sandbox",
-    "--use-gl=angle",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    "--force-device-scale-factor=0.25",
-]
+GRAPHICS = "--use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader"
+DRAWS = f"--no-sandbox {GRAPHICS} --force-device-scale-factor=0.25".split()
 SIZE = {"width": 760, "height": 480}  # of the picture, which processors draw
 BLOCK, SLOPE = text_of("block.yaml"), text_of("slope.yaml")
 BOX = "box"
@@ -225,10 +220,7 @@ def test_a_recording_plays_goes_back_and_branches(opened, tmp_path):
 def test_a_reference_is_shown_beside_a_recording(tmp_path):
     """Its distance is the error that the analysis finds."""
     path = tmp_path / "run.mcap"
-    assert (
-        main(["run", "double_pendulum", "--method", "rkmk4", "--step", "0.02", "--duration", "1", "--out", str(path)])
-        == 0
-    )
+    assert main(f"run double_pendulum --method rkmk4 --step 0.02 --duration 1 --out {path}".split()) == 0
     source = Recorded(path)
     history, text = source.reference()
     assert history.times == source.history.times and "reference integration" in text

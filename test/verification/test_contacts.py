@@ -276,11 +276,11 @@ def test_a_brick_on_a_slope_beyond_the_cone_slides_with_its_acceleration():
     """g (sin a - mu cos a), once the bristle is bent."""
     friction, angle, slip = 0.5, math.atan(1.2 * 0.5), 1e-6
     simulation, speeds = Simulation(slope(angle, friction, slip=slip), accuracy=1e-6, quiet=True), []
-    for time in (0.25, 0.5):
+    for time in (0.1, 0.2):
         simulation.advance_to(time)
         speeds.append(simulation.sample().twist[0, 3])
     expected = G * (math.sin(angle) - friction * math.cos(angle))
-    assert (speeds[1] - speeds[0]) / 0.25 == pytest.approx(expected, rel=1e-5)
+    assert (speeds[1] - speeds[0]) / 0.1 == pytest.approx(expected, rel=1e-5)
     shown = simulation.sample().signals["floor.normal_force"]
     assert shown == pytest.approx(3 * G * math.cos(angle), rel=1e-6)
 
@@ -383,7 +383,7 @@ def test_sensitivities_hold_through_bounces_of_a_box():
     """Its corners touch and leave, and slide whenever they press: p_x = m v - mu (m g t + p_z), of all impulses."""
     body = BRICK % (0.0, 0.06, "linear_velocity: [3, 0, 0]")
     brick = scene([body], ["name: floor, body: brick, sinks: 1e-4, restitution: 0.2, friction: 0.1, slip: 1e-3"])
-    times, outputs = np.array([0.1, 0.3, 1.0]), ["momentum_x", "momentum_z"]
+    times, outputs = np.array([0.1, 0.2, 0.3]), ["momentum_x", "momentum_z"]
     found = sensitivities(brick, ["friction"], times, outputs)
     (x, z), (by_x, by_z) = found.values.T, found.derivatives[:, :, 0].T
     assert_allclose(x, 9.0 - 0.1 * (3.0 * G * times + z), atol=1e-9)

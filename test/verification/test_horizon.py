@@ -4,6 +4,7 @@
 Short segments, each with a start of its own, agree with any of these models.
 """
 
+import functools
 from dataclasses import replace
 
 import numpy as np
@@ -48,18 +49,25 @@ def rubbed(q, v, size):
     return effort
 
 
-def log_of(effort, seed, noise=NOISE):
-    """Log of the position of a pendulum with noise, from rest at 1.1 rad."""
-    inertia = MASS * (LENGTH**2 / 3.0 + RADIUS**2 / 4.0)
+TIMES = np.arange(SECONDS * RATE) / RATE
+
+
+@functools.cache
+def motion(effort, start=(1.1, 0.0), viscous=VISCOUS):
+    """Positions of a pendulum, from rest at 1.1 rad."""
 
     def slope(_, y):
         weight = MASS * GRAVITY * 0.5 * LENGTH * np.sin(y[0])
-        return [y[1], (-VISCOUS * y[1] + effort(*y) - weight) / inertia]
+        return [y[1], (-viscous * y[1] + effort(*y) - weight) / INERTIA]
 
-    times = np.arange(SECONDS * RATE) / RATE
-    q = scipy.integrate.solve_ivp(slope, (0.0, SECONDS), [1.1, 0.0], t_eval=times, rtol=1e-11, atol=1e-12).y[0]
+    return scipy.integrate.solve_ivp(slope, (0.0, SECONDS), start, t_eval=TIMES, rtol=1e-11, atol=1e-12).y[0]
+
+
+def log_of(effort, seed, noise=NOISE):
+    """Log of the position of a pendulum with noise."""
+    q = motion(effort)
     values = q + noise * np.random.default_rng(seed).normal(size=len(q))
-    return Log((), (Measured("/joint_states", times, ("hinge.position",), values[:, None], np.array([np.nan]), 0.0),))
+    return Log((), (Measured("/joint_states", TIMES, ("hinge.position",), values[:, None], np.array([np.nan]), 0.0),))
 
 
 NAMED = {
@@ -105,14 +113,10 @@ def test_a_drive_that_lags_or_bends_is_named(lag, compliance, effect, size):
 
 def bound():
     """Deviation of the viscous friction by Cramer and Rao, of a log without a known start, by differences of SciPy."""
-    point, change, inertia = np.array([1.1, 0.0, VISCOUS]), 1e-5, MASS * (LENGTH**2 / 3.0 + RADIUS**2 / 4.0)
+    point, change = np.array([1.1, 0.0, VISCOUS]), 1e-5
 
     def outputs(p):
-        def slope(_, y):
-            return [y[1], (-p[2] * y[1] - MASS * GRAVITY * 0.5 * LENGTH * np.sin(y[0])) / inertia]
-
-        times = np.arange(SECONDS * RATE) / RATE
-        return scipy.integrate.solve_ivp(slope, (0.0, SECONDS), p[:2], t_eval=times, rtol=1e-11, atol=1e-12).y[0]
+        return motion(LACKING["nothing"], tuple(p[:2]), p[2])
 
     J = np.array([(outputs(point + way) - outputs(point - way)) / (2.0 * change) for way in change * np.eye(3)])
     return NOISE * np.sqrt(np.linalg.inv(J @ J.T)[2, 2])
@@ -142,7 +146,7 @@ def test_a_model_agrees_only_if_long_runs_do(lacking):
         assert first.text == effect and first.value == pytest.approx(size, rel=0.05) and found.comparison.is_explained
 
 
-@pytest.mark.turn(3)
+@pytest.mark.turn(6)
 def test_intervals_are_robust_where_noise_is_not_white():
     """Of 20 logs with noise that is correlated by 0.9 from one measurement to the next.
 
@@ -170,9 +174,9 @@ def test_intervals_are_robust_where_noise_is_not_white():
 
 def test_a_wrong_mass_of_a_driven_load_shows_in_long_runs():
     """The period of a pendulum with a disc three times as heavy differs, although 0.1 s of it fit any mass."""
-    found = compare(
-        scene_from_text(SCENE.replace("length: 0.6", "length: 0.5")), log_of(LACKING["nothing"], 2), workers=1
-    )
+    log = log_of(LACKING["nothing"], 2)
+    half = tuple(replace(each, times=each.times[:600], values=each.values[:600]) for each in log.measured)
+    found = compare(scene_from_text(SCENE.replace("length: 0.6", "length: 0.5")), Log((), half), workers=1)
     assert not found.agrees and found.horizon.within_noise < 1.0
     spread = found.fit.runs.log.measured[0].spread[0]
     assert found.horizon.error.max() > 0.5 * spread
@@ -261,7 +265,8 @@ def test_predictions_beside_a_machine_that_is_pushed(is_known):
 def test_a_machine_that_departs_is_seen_within_a_second(what):
     """Of a pendulum, each quarter of a second, up to 1 s ahead; before, and of the same, errors are as explained.
 
-    In 30 comparisons of 10 intervals an rms beyond 6 deviations has a probability below 1e-6.
+    In 30 comparisons of 10 intervals an rms beyond 6 deviations has a probability below 1e-6. Until it departs, each
+    machine is the one that does not.
     """
     scene, event = scene_from_text(SCENE.replace("viscous: 0.01", "viscous: 0.02")), 5.0
     heavier = 3.0 if what == "a payload" else 1.0  # the mass of a point at the end is that of the rod
@@ -280,7 +285,7 @@ def test_a_machine_that_departs_is_seen_within_a_second(what):
         y[at > event, 0] *= -1.0
     y += NOISE * np.random.default_rng(5).normal(size=y.shape)
     shadow, seen = Shadow(scene), []
-    for now in np.arange(1.0, 6.26, 0.25):
+    for now in np.arange(1.0 if what == "nothing" else event, 6.26, 0.25):
         rows = (at <= now) & (at > now - 4.5)
         channels, unknown = ("hinge.position", "hinge.velocity"), np.full(2, np.nan)
         horizons = shadow.horizons(Log((), (Measured("/m", at[rows], channels, y[rows], unknown, 0.0),)))

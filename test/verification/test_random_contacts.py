@@ -20,7 +20,7 @@ SHAPES = (
     "{type: hull, points: [[0.1, 0, 0], [-0.1, 0, 0], [0, 0.12, 0], [0, -0.1, 0.02], [0, 0, 0.1], [0.02, 0.03, -0.1]]}",
 )
 SIZE = 0.3  # m
-SEEDS = some(range(512), 2)
+SEEDS = some(range(512), 1)
 
 
 def thrown(seed):

@@ -6,11 +6,11 @@ other scenes: test_rotation_forces.py.
 """
 
 import re
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from convergence import fitted_order
+from golden import few_steps
 from scipy.optimize import fsolve
 
 from liegroup_core import Scene, Simulation, SimulationError, load_scene
@@ -19,7 +19,6 @@ from liegroup_core.methods.table import METHODS
 from liegroup_core.scene.description import Body
 from liegroup_core.status import NO_RATTLE_STEP, NOT_CONVERGED
 from liegroup_sim_ros.chapter.rotation_figures import (
-    PANELS,
     count_runs,
     end_attitude,
     errors,
@@ -358,12 +357,7 @@ def test_figures_use_exact_end_states_and_report_published_values(monkeypatch, t
     """Tolerance: binary scene numbers differ from the decimal ones by 1e-15 of 150 rad."""
     assert np.abs(end_attitude("free_body", 10) - FREE_R_10).max() <= 1e-15
     assert np.abs(end_attitude("lagrangian_top", 1) - TOP_R_1).max() <= 2e-13
-    short = [
-        replace(
-            panel, steps=panel.steps[2:5], elsewhere={method: values[2:5] for method, values in panel.elsewhere.items()}
-        )
-        for panel in PANELS
-    ]
+    short = few_steps()
     monkeypatch.setattr("liegroup_sim_ros.chapter.rotation_figures.PANELS", short)
     monkeypatch.setattr(
         "liegroup_sim_ros.chapter.rotation_figures.TOP_INTEGRALS", {("rattle", 1e-3): TOP_INTEGRALS["rattle", 1e-3]}
