@@ -23,7 +23,7 @@ from liegroup_core.status import BEYOND_STOP, EVENT, EVENTS_WITHOUT_END, MOST_EV
 
 from .crossings import lowest
 from .mode_changes import IMPACT, JointEvent
-from .times import ROUND_OFF_PART, SAME_PART, SAME_TIME, EventTimes
+from .times import SAME_PART, SAME_TIME, EventTimes
 
 BEYOND = 1e-9  # rad, or relative to the characteristic length: a state that is set further beyond a stop is refused
 # Endless impacts of several contacts become plastic: after half of MOST_EVENTS in a step, if the last DENSE
@@ -264,7 +264,7 @@ class Switching(EventTimes):
         while (self.tally - self._tally).max() < MOST_EVENTS:
             begin_of_substep, size = elapsed + work.watch[BEGIN], work.watch[SPAN]
             work.clock.count[0], work.clock.offset[0] = 0.0, start + begin_of_substep
-            self._again = max(self.same_time, ROUND_OFF_PART * size)
+            self._again = max(self.same_time, SAME_PART * size)
             tau, crossed, status = self._locate(size, state)
             if status != OK:
                 return status

@@ -26,7 +26,7 @@ HALVINGS, MOST_LOOKS = 40, 400
 APART = 1e3  # times of two zeros, by linear interpolation, in units of `same_time`
 # Points of an interpolation; part of the first interval within which residuals decrease by far more than half, unless
 # they are round-off.
-MOST_POINTS, ROUND_OFF_PART = 5, 1e-8
+MOST_POINTS, ROUND_OFF_PART = 5, 1e-11
 # Relative to the substep: range in which the smallest effort is sought, and its tolerance.
 NEAR, PRECISE = 0.2, 1e-3
 BEFORE, AFTER = 0.8, 1.25  # relative to the expected time of a zero: the interval that is tried first
@@ -258,7 +258,7 @@ def root_of(function, begin, end, precise, beyond):
         value = function(time)
         if math.isnan(value):
             raise ValueError("a value is not known")
-        stale = 0 if not points or abs(value) <= 0.5 * points[0][0] else stale + 1
+        stale = 0 if len(points) < 2 or abs(value) <= 0.5 * points[0][0] else stale + 1
         points = sorted([*points, (abs(value), value, time)])
         ends[value > 0.0] = time
         if value == 0.0:

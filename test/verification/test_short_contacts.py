@@ -11,6 +11,7 @@ from scipy.optimize import brentq, minimize_scalar
 
 from liegroup_core import Simulation
 from liegroup_core.events.crossings import NONE, lowest
+from liegroup_core.events.times import root_of
 from liegroup_core.scene.load import scene_from_text
 
 G = 9.81
@@ -259,3 +260,30 @@ def test_weights_of_the_stages_are_those_of_polynomials():
             assert weights[0] @ values == pytest.approx(s**degree, abs=1e-13)
             if degree < count - 1 or count == 2:
                 assert weights[1] @ values == pytest.approx(s**degree, abs=1e-13)
+
+
+@pytest.mark.parametrize("root", [1e-9, 0.1, 0.71, 1.0 - 1e-6])
+@pytest.mark.parametrize("beyond", [False, True])
+@pytest.mark.parametrize(
+    "guard, most",
+    [
+        (lambda t, r: r - t, 5),
+        (lambda t, r: math.exp(-5.0 * t) - math.exp(-5.0 * r), 14),
+        (lambda t, r: r * r - t * t, 40),  # nearly a double root
+        (lambda t, r: math.inf if t < 0.5 * r else r - t, 50),  # a law skips it
+        (lambda t, r: 1.0 if t < r else -1e-9, 50),
+        (lambda t, r: r - t + 1e-14 * math.sin(1e12 * t), 20),  # round-off
+    ],
+)
+def test_roots_of_guards_are_found_in_few_steps(guard, most, beyond, root):
+    """To 1e-13, and where asked for, not before the root; a jump to the part of 1e-11 from which on it is round-off."""
+    calls = []
+
+    def counted(time):
+        calls.append(time)
+        return guard(time, root)
+
+    found = root_of(counted, 0.0, 1.0, 1e-13, beyond)
+    assert abs(found - root) <= (1e-11 if guard(root + 1e-9, root) == -1e-9 else 4e-13)
+    assert found in calls and len(calls) <= most
+    assert not beyond or guard(found, root) <= 0.0
