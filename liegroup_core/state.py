@@ -26,7 +26,7 @@ def kept(part, names=None):
 def _copied(value):
     if hasattr(value, "KEPT"):
         return kept(value)
-    if isinstance(value, (np.ndarray, Columns)):
+    if isinstance(value, (np.ndarray, StoredMatrix)):
         return value.copy()
     if isinstance(value, dict):
         return {name: _copied(entry) for name, entry in value.items()}
@@ -36,8 +36,8 @@ def _copied(value):
 
 
 def empty(value):
-    """An array of zeros like one of a part, or Columns of none."""
-    return Columns(value.size) if isinstance(value, Columns) else np.zeros_like(value)
+    """An array of zeros like one of a part, or a StoredMatrix without columns."""
+    return StoredMatrix(value.size) if isinstance(value, StoredMatrix) else np.zeros_like(value)
 
 
 def set_kept(part, values):
@@ -57,7 +57,7 @@ def set_kept(part, values):
         part.restored()
 
 
-class Columns:
+class StoredMatrix:
     """A large square matrix in the memory of a method: copies have only the columns that are not zero.
 
     size   : number of rows
@@ -71,23 +71,23 @@ class Columns:
         self.size, self._matrix, self._known = size, matrix, known
         self.at, self.values = np.empty(0, dtype=np.int64), np.empty((size, 0))
 
-    def copy(self) -> "Columns":
+    def copy(self) -> "StoredMatrix":
         """A copy, without the matrix."""
-        copy = Columns(self.size)
+        copy = StoredMatrix(self.size)
         copy.at, copy.values = self.at, self.values
         if self._matrix is not None and self._known:
             copy.at = np.flatnonzero(self._matrix.any(axis=0))
             copy.values = self._matrix[:, copy.at]
         return copy
 
-    def __setitem__(self, where: Any, copy: "Columns") -> None:
+    def __setitem__(self, where: Any, copy: "StoredMatrix") -> None:
         """Set the matrix to a copy; an empty one has no meaning."""
         if len(copy.at):
             self._matrix[:] = 0.0
             self._matrix[:, copy.at] = copy.values
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Columns) and _equal(self.at, other.at) and _equal(self.values, other.values)
+        return isinstance(other, StoredMatrix) and _equal(self.at, other.at) and _equal(self.values, other.values)
 
     __hash__ = None  # type: ignore[assignment]
 
@@ -95,13 +95,13 @@ class Columns:
         """JSON types."""
         return encoded([self.at, self.values])
 
-    def from_json(self, data: Any, where: str) -> "Columns":
+    def from_json(self, data: Any, where: str) -> "StoredMatrix":
         """Inverse of `as_json`; earlier versions have the whole matrix. Raises ValueError."""
         if isinstance(data, str):
-            return Columns(self.size, decoded(data, np.zeros((self.size, self.size)), where)).copy()
+            return StoredMatrix(self.size, decoded(data, np.zeros((self.size, self.size)), where)).copy()
         if not (isinstance(data, list) and len(data) == 2 and isinstance(data[0], str)):
             raise ValueError(f"{where} must have columns and their values, {got(data)}")
-        copy, count = Columns(self.size), len(data[0]) * 3 // 4 // self.at.itemsize
+        copy, count = StoredMatrix(self.size), len(data[0]) * 3 // 4 // self.at.itemsize
         copy.at, copy.values = decoded(data, [np.zeros(count, dtype=np.int64), np.zeros((self.size, count))], where)
         if count and not (copy.at.min() >= 0 and copy.at.max() < self.size):
             raise ValueError(f"{where} must have columns from 0 to {self.size - 1}, {got(copy.at.tolist())}")
@@ -187,7 +187,12 @@ def with_pulls(data, like):
     like : (n, COLUMNS), or (1 + n COLUMNS + others,)
     """
     pulls = COLUMNS - PULL
-    if not isinstance(data, str) or isinstance(like, Columns) or like.dtype != float or len(data) == len(encoded(like)):
+    if (
+        not isinstance(data, str)
+        or isinstance(like, StoredMatrix)
+        or like.dtype != float
+        or len(data) == len(encoded(like))
+    ):
         return data
     try:
         before = np.frombuffer(base64.b64decode(data, validate=True))

@@ -12,7 +12,7 @@ from scene_files import text_of
 from liegroup_core import Simulation, load_scene
 from liegroup_core.methods.table import METHODS
 from liegroup_core.scene.load import scene_from_text
-from liegroup_core.state import Columns, State, encoded
+from liegroup_core.state import State, StoredMatrix, encoded
 from liegroup_sim_ros.recording import attachments
 
 SPRING = text_of("wound_snapshot.yaml")
@@ -290,7 +290,7 @@ def test_the_jacobian_of_an_implicit_method_is_in_a_state_only_where_it_is_used_
     for time in (0.5, 0.6):
         one.advance_to(time)
         assert one.method == "radau5"
-        stored[time] = [part for part in one.snapshot().parts["memory"] if isinstance(part, Columns)]
+        stored[time] = [part for part in one.snapshot().parts["memory"] if isinstance(part, StoredMatrix)]
     assert [len(part.at) for part in stored[0.5]] == [0, 0]
     f = stored[0.6][0].size
     assert f == 6 + 1 + 2 * 16 and 0 < len(stored[0.6][0].at) <= 5
@@ -299,7 +299,7 @@ def test_the_jacobian_of_an_implicit_method_is_in_a_state_only_where_it_is_used_
     for parts in (before["state"], before["state"]["running"]["companion"]):
         for k, part in enumerate(parts["memory"]):
             if isinstance(part, list):
-                columns = Columns(f).from_json(part, "")
+                columns = StoredMatrix(f).from_json(part, "")
                 whole[:], whole[:, columns.at] = 0.0, columns.values
                 parts["memory"][k] = encoded(whole)
     one.advance_to(1.3)

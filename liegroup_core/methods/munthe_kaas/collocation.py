@@ -4,7 +4,7 @@
 import numpy as np
 
 from liegroup_core.compiling import Struct
-from liegroup_core.state import Columns
+from liegroup_core.state import StoredMatrix
 
 STAGES = 3
 START, END = STAGES, STAGES + 1  # rows of Collocation.z after those of the stages
@@ -45,7 +45,7 @@ class Collocation(Struct):
         if len(self.z) == 0:
             return ()
         known, parts = self.known[0] != 0.0, (self.stiffness, self.damping)
-        return self.known, *(Columns(len(part), part, known) for part in parts)
+        return self.known, *(StoredMatrix(len(part), part, known) for part in parts)
 
 
 def no_collocation():
