@@ -26,7 +26,7 @@ HALVINGS, MOST_LOOKS = 40, 400
 APART = 1e3  # times of two zeros, by linear interpolation, in units of `same_time`
 # Points of an interpolation; part of the first interval within which residuals decrease by far more than half, unless
 # they are round-off.
-MOST_POINTS, ROUND_OFF_PART = 5, 1e-11
+MOST_POINTS, ROUND_OFF_PART, FURTHER = 5, 1e-11, 8.0
 # Relative to the substep: range in which the smallest effort is sought, and its tolerance.
 NEAR, PRECISE = 0.2, 1e-3
 BEFORE, AFTER = 0.8, 1.25  # relative to the expected time of a zero: the interval that is tried first
@@ -182,7 +182,8 @@ class EventTimes(ModeChanges):
 
     def _zero(self, guard, gap, end, precise, k, c):
         """Time of the zero of a guard before `end`, where it is negative; to `precise` s."""
-        begin, starts = 0.0, guard(0.0, k, c) > self._at_zero[k, c]
+        round_off = ROUND_OFF_PART * -guard(end, k, c)
+        begin, starts = 0.0, guard(0.0, k, c) > max(self._at_zero[k, c], round_off)
         # Its zero for a constant acceleration; after an impact it is a small fraction of the substep.
         near = _first_zero(*gap(0.0, k, c)) if c <= UPPER else end
         if c <= UPPER and self._rigid[k]:
@@ -248,36 +249,37 @@ def root_of(function, begin, end, precise, beyond):
 
     beyond : whether the function must not be positive there
 
-    Inverse interpolation through the nearest points, because each costs a step of a mechanism: it converges faster than
-    Brent's method, which has three. Where a residual is not halved, the next step goes 8 times as far, so that the
-    interval shrinks from both sides; if that is short by then, residuals are round-off. Raises ValueError where the
-    function is NaN.
+    Inverse interpolation through the points next to it, because each costs a step of a mechanism: it converges faster
+    than Brent's method, which has three. Where a residual is not halved, the next step goes further, then as far as the
+    geometric mean with the interval, so that this shrinks from both sides; if it is short by then, residuals are
+    round-off. Raises ValueError where the function is NaN.
     """
-    points, ends, stale, time, near_enough = [], {}, 0, begin, ROUND_OFF_PART * abs(end - begin)
+    points, ends, stale, time, short = [], {}, 0, begin, ROUND_OFF_PART * abs(end - begin)
     while True:
         value = function(time)
         if math.isnan(value):
             raise ValueError("a value is not known")
-        stale = 0 if len(points) < 2 or abs(value) <= 0.5 * points[0][0] else stale + 1
-        points = sorted([*points, (abs(value), value, time)])
-        ends[value > 0.0] = time
         if value == 0.0:
             return time
+        if len(points) > 1:
+            stale = 0 if abs(value) <= 0.5 * min(abs(each) for _, each in ends.values()) else stale + 1
+        points.append((time, value))
+        ends[value > 0.0] = time, value
         if len(points) == 1:
             time = end
             continue
-        positive, negative = ends[True], ends[False]
-        _, value, near = points[0]
+        (near, value), (far, _) = sorted(ends.values(), key=lambda each: abs(each[1]))
+        width = abs(far - near)
+        points.sort(key=lambda each: abs(each[0] - near))
         step = _zero_of(points[:MOST_POINTS]) - near
-        if not stale and len(points) > 2 and abs(step) <= precise:
+        if width <= (short if stale else precise) or not stale and len(points) > 2 and abs(step) <= precise:
             break
-        if abs(positive - negative) <= (near_enough if stale else precise):
-            break
-        far = negative if value > 0.0 else positive
-        reach, middle = abs(step) * 8.0**stale, 0.5 * (positive + negative)
-        time = near + (math.copysign(reach, far - near) if stale else step)
-        if not min(positive, negative) < time < max(positive, negative) or stale and reach > abs(middle - near):
-            time = middle
+        time = near + step
+        if stale:
+            reach = math.sqrt(abs(step) * width) if stale > 1 else FURTHER * abs(step)
+            time = near + math.copysign(min(reach, 0.5 * width), far - near)
+        if not min(near, far) < time < max(near, far):
+            time = 0.5 * (near + far)
     while beyond and value > 0.0:
         near, precise = min(near + precise, end), 2.0 * precise
         value = function(near)
@@ -285,8 +287,8 @@ def root_of(function, begin, end, precise, beyond):
 
 
 def _zero_of(points):
-    """Argument at which the polynomial of the values in [(|value|, value, argument)] is zero: Neville's scheme; inf."""
-    known = {value: argument for size, value, argument in points if size < math.inf}
+    """Argument at which the polynomial of the values in [(argument, value)] is zero: Neville's scheme; or inf."""
+    known = {value: argument for argument, value in points if abs(value) < math.inf}
     row, values = [], list(known)
     for k, (value, argument) in enumerate(known.items()):
         new = [argument]
