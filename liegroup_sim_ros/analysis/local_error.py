@@ -29,9 +29,14 @@ def local_error(scene, recording, motion, layout):
     more = {}
     if settings.get("stabilisation") == "baumgarte" and settings.get("baumgarte_time") is None:
         more["baumgarte_time"] = BAUMGARTE_STEPS * settings["step"]
-    method, work = METHODS[settings["method"]], WorkLimit(MOST_STEPS)
-    rungs = (1.0, 0.5) if method.controlled else RUNGS  # tolerances have no order
-    simulations = {rung: make_simulation(scene, settings, step=rung * settings["step"], **more) for rung in rungs}
+
+    def made(rungs):
+        return {rung: make_simulation(scene, settings, step=rung * settings["step"], **more) for rung in rungs}
+
+    simulations, work = made((1.0, 0.5)), WorkLimit(MOST_STEPS)
+    method = METHODS[settings["method"]]
+    if not method.controlled:  # tolerances have no order
+        simulations |= made(RUNGS)
     largest, orders, windows, failure = np.zeros(2), [], 0, None
     for stretch, row in _windows(motion):
         try:

@@ -195,7 +195,7 @@ def test_work_that_numbers_ask_for_is_limited(fast, monkeypatch):
     limits = {"REPEAT_STEPS": 1000, "REPEAT_STEPS_PER_SAMPLE": 0}
     for name, value in limits.items():
         monkeypatch.setattr(sys.modules["liegroup_sim_ros.analysis.analyse"], name, value)
-    monkeypatch.setattr(local_error, "MOST_STEPS", 100)
+    monkeypatch.setattr(local_error, "MOST_STEPS", 20)
     assert analyse(fast, reference=False).figures["repeat"]["stopped"] is None
     figures = analyse(spun(fast, 1e4), reference=False).figures
     assert "needs more than 1000 steps" in figures["repeat"]["stopped"]
