@@ -417,8 +417,8 @@ class _Run:
         if not np.isfinite(slope).all():
             return f"the reference integration stopped at t = {self.reached:.6g} s: the state or a wrench is not finite"
         return (
-            f"the reference integration stopped at t = {self.reached:.6g} s: no step is short enough, "
-            "because the forces jump or grow without bound"
+            f"the reference integration stopped at t = {self.reached:.6g} s: no step is short enough, as where forces "
+            "jump or grow without bound, or change their branches too often"
         )
 
     def _begin(self, begin, end, system, wrench, driving):

@@ -285,6 +285,8 @@ def _shapes(robot, model, names, lines):
             robot.leave_out(
                 f"shapes of geom groups above {SHOWN}, which MuJoCo hides", geom["name"] or f"{kind} of {name}"
             )
+        elif kind == "plane" and geom["collides"] and name == WORLD:
+            robot.leave_out("planes of the world: --ground has its own height and friction", geom["name"] or kind)
         elif kind not in VISUALS:
             robot.leave_out(NOT_DRAWN, f"{kind} {geom['name']}".strip() + f" of {name}")
         else:

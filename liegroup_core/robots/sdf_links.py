@@ -56,6 +56,9 @@ def read_link(reader, robot, model, element):
         friction = part.find("surface/friction/ode/mu")
         read = None if friction is None else partial(reader.number, friction, friction.text, "<mu>")
         link.collisions.append(Collision(part.sourceline, partial(_shape, reader, model, part), read))
+        surface = part.find("surface")
+        if surface is not None and any(not len(each) and each is not friction for each in surface.iterdescendants("*")):
+            robot.leave_out("numbers of contacts in <surface>, but for mu", name)
     if any(text_of(element, key) in ("false", "0") for key in OF_GRAVITY):
         link.weight = 0.0
     for part in element.iterfind("sensor"):

@@ -971,3 +971,22 @@ def test_gravity_compensation_of_mjcf(tmp_path):
     assert found["a"][1] == pytest.approx(data.qacc[0], rel=1e-12)
     assert found["c"][3:] == pytest.approx(data.qacc[2:5], rel=1e-12, abs=1e-12)
     assert found["b"][:3] - found["a"][:3] == pytest.approx(data.qacc[1] * np.array([0, 1, 0.2]) / np.hypot(1, 0.2))
+
+
+def test_numbers_of_contacts_that_are_not_mapped_are_noted(tmp_path):
+    """Restitution and a second friction of SDF; the floor of a world of MJCF, whose height `ground` does not take."""
+    text = (
+        '<model name="m"><link name="a"><inertial auto="true"/><collision name="c"><geometry><sphere><radius>1</radius>'
+        "</sphere></geometry><surface><friction><ode><mu>0.4</mu></ode></friction>{}</surface></collision></link></model>"
+    )
+    bounce = "<bounce><restitution_coefficient>0.6</restitution_coefficient></bounce>"
+    for more in ("", bounce):
+        notes = load_scene(sdf(tmp_path, text.format(more), "1.11")).notes
+        assert ("numbers of contacts in <surface>, but for mu (a)" in "\n".join(notes)) == bool(more)
+    path = written(
+        tmp_path / "floor.xml",
+        '<mujoco><worldbody><geom name="floor" type="plane" size="1 1 1" pos="0 0 -.5"/>'
+        '<body><freejoint/><geom type="sphere" size=".1"/></body></worldbody></mujoco>',
+    )
+    pytest.importorskip("mujoco")
+    assert "--ground has its own height and friction (floor)" in "\n".join(load_scene(path).notes)
