@@ -286,7 +286,8 @@ def _shapes(robot, model, names, lines):
                 f"shapes of geom groups above {SHOWN}, which MuJoCo hides", geom["name"] or f"{kind} of {name}"
             )
         elif kind == "plane" and geom["collides"] and name == WORLD:
-            robot.leave_out("planes of the world: --ground has its own height and friction", geom["name"] or kind)
+            planes = "planes that touch: --ground has its own height and friction"
+            robot.leave_out(planes, f"{kind} {geom['name']}".strip() + f" of {name}")
         elif kind not in VISUALS:
             robot.leave_out(NOT_DRAWN, f"{kind} {geom['name']}".strip() + f" of {name}")
         else:

@@ -989,4 +989,4 @@ def test_numbers_of_contacts_that_are_not_mapped_are_noted(tmp_path):
         '<body><freejoint/><geom type="sphere" size=".1"/></body></worldbody></mujoco>',
     )
     pytest.importorskip("mujoco")
-    assert "--ground has its own height and friction (floor)" in "\n".join(load_scene(path).notes)
+    assert "--ground has its own height and friction (plane floor of world)" in "\n".join(load_scene(path).notes)
