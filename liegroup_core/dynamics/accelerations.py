@@ -10,8 +10,8 @@ from liegroup_core.forces.law import set_branches
 from liegroup_core.mechanism.bodies import PIVOT, SINGULAR_SOLVES
 from liegroup_core.status import OK
 
+from .algebra import state_column, tree_size
 from .coordinates import place_bodies, place_links
-from .couplings import add_effort
 from .free_bodies import accelerations_of_free_bodies
 from .loads import GIVEN, MOST_ITERATIONS, begin_loads, settle_loads
 from .loops import POOR, SINGULAR, apply_multipliers, close_loops, project, set_loops
@@ -53,13 +53,14 @@ def apply_forces(model, work, external):
     laws, n = model.space.forces.laws, len(model.bodies)
     work.registers[0, 0] = work.clock.now[0]
     set_branches(laws, work.branches, work.registers)
+    size, column = tree_size(model), state_column(model)
     for s in range(len(model.law_links)):
-        work.registers[laws.states[s, 0], 0] = work.stage_twist[n + model.law_links[s], 0]
+        work.registers[laws.states[s, 0], 0] = work.stage_twist[n + size + s, 0]
     pose, twist = space.stage_pose, space.stage_twist
     add_wrenches(model.space.forces, work.angle, work.targets, work.registers, pose, twist, work.wrench)
     apply_wrenches(model, work)
     for s in range(len(model.law_links)):
-        add_effort(model, work, model.law_links[s], 0, work.registers[laws.states[s, 1], 0])
+        work.applied[size + s, column] += work.registers[laws.states[s, 1], 0]
 
 
 @subroutine

@@ -21,6 +21,12 @@ def tree_size(model):
     return len(model.links) - len(model.law_links)
 
 
+@kernel
+def first_state(model, work):
+    """Degree of freedom of the first state of laws; they are the last ones, in order."""
+    return len(work.freedoms) - len(model.law_links)
+
+
 def choice(name, space, plane):
     """Choice between two functions: for models in space, and in a plane."""
     return Choice(name, {RelativeModel: space, PlaneModel: plane})
@@ -121,5 +127,7 @@ in_parent = _of(
 lifted = _of("lifted", "X", "return X", "return (X[0], -X[1], 0.0, X[1], X[0], 0.0, 0.0, 0.0, 1.0), (X[2], X[3], 0.0)")
 spatial = _of("spatial", "V", "return V", "return (0.0, 0.0, V[0]), (V[1], V[2], 0.0)")
 planar = _of("planar", "V", "return V", "return V[0][2], V[1][0], V[1][1]")
+# That of the state of a law, which is a slide.
+state_column = _of("state_column", "", "return 5", "return 1")
 coordinate, rate_twist, project_pose = map(of_group, ("coordinate", "rate_twist", "project_pose"))
 rates_of, own_forces, column_twist = map(of_group, ("rates_of", "own_forces", "column_twist"))

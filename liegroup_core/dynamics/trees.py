@@ -22,7 +22,7 @@ from liegroup_core.compiling import kernel, subroutine
 from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.vec3 import load3
 
-from .algebra import column, link_of, rate_twist, store, tree_size, zero
+from .algebra import first_state, link_of, rate_twist, state_column, store, tree_size, zero
 from .links import accelerated, apply, body_wrench, move_link, pass_inertia, start
 
 
@@ -55,10 +55,9 @@ def gather(model, work):
         start(model, work, link_of(model, b), b)
     for b in range(tree_size(model) - 1, -1, -1):
         pass_inertia(model, work, link_of(model, b), b)
-    for b in range(tree_size(model), len(model.links)):
-        link = link_of(model, b)
-        f = link["freedom"]
-        work.freedoms[f, 6], work.freedoms[f, 7] = 1.0, work.applied[b, column(model, link, 0)]
+    size, first, c = tree_size(model), first_state(model, work), state_column(model)
+    for s in range(len(model.law_links)):
+        work.freedoms[first + s, 6], work.freedoms[first + s, 7] = 1.0, work.applied[size + s, c]
 
 
 @subroutine
@@ -72,8 +71,7 @@ def _spread(model, work, gx, gy, gz, drift):
     for b in range(tree_size(model)):
         V = accelerated(model, work, link_of(model, b), b, (gx, gy, gz), drift)
         store(model, V, work.moved, b)
-    for b in range(tree_size(model), len(model.links)):
-        f = model.links[b]["freedom"]
+    for f in range(first_state(model, work), len(work.freedoms)):
         work.acceleration[f, 0] = work.freedoms[f, 7]
     return 0
 

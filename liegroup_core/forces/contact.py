@@ -520,7 +520,7 @@ class _Formulas:
 
     def __init__(self, name, numbers, load):
         self._name, self._numbers, self._load = name, numbers, load
-        self._inputs, self._signals, self._states, self._outputs = {}, {}, {}, []
+        self._inputs, self._names, self._signals, self._states, self._outputs = {}, {}, {}, {}, []
         self.normals, self.yields, self.arms, self.depths, self._powers, self._near = [], [], [], [], [], ""
         self._follows, self.is_geometry, self.closing = set(), False, []
         self._load = load
@@ -548,27 +548,50 @@ class _Formulas:
         """Name of a formula, which is evaluated once; a number stays one."""
         if not isinstance(text, str) or text.isidentifier():
             return text
-        name = f"_{len(self._signals)}"
-        self._signals[name] = text
-        if self.is_geometry:
-            self._follows.add(name)
-        return name
+        key = text, self.is_geometry
+        if key not in self._names:
+            self._names[key] = name = f"_{len(self._signals)}"
+            self._signals[name] = text
+            if self.is_geometry:
+                self._follows.add(name)
+        return self._names[key]
 
-    def _read(self, body, part, point):
+    def _read(self, body, part, point=None):
         key = f"{body}.{part}", point
         return self._inputs.setdefault(key, f"_in{len(self._inputs)}")
 
+    def direction(self, body, vector):
+        """A vector of a body in world axes."""
+        return [self._read(body, f"n{part}", tuple(map(float, vector))) for part in "xyz"]
+
+    def spin(self, body):
+        """Angular velocity of a body, world axes."""
+        return [self._read(body, f"o{part}") for part in "xyz"]
+
+    def _origin(self, body, part=""):
+        """Origin of the frame of a body, or with the part d its velocity, world axes."""
+        return [self._read(body, part + component) for component in "xyz"]
+
+    def _across(self, body, vector):
+        """Products of a vector in world axes with the axes of a body."""
+        return [self.let(_dot(vector, self.direction(body, axis))) for axis in np.eye(3)]
+
+    def place_along(self, vector, body, point):
+        """Position of a point of a body along a vector in world axes. What its points share is evaluated once."""
+        return _plus(self.let(_dot(vector, self._origin(body))), _dot(point, self._across(body, vector)))
+
+    def rate_along(self, vector, body, point):
+        """Its velocity along a vector in world axes."""
+        turning = self._across(body, [self.let(each) for each in _cross(vector, self.spin(body))])
+        return _plus(self.let(_dot(vector, self._origin(body, "d"))), _dot(point, turning))
+
     def place(self, body, point):
         """Position of a point of a body, world axes."""
-        return [self._read(body, part, tuple(map(float, point))) for part in "xyz"]
+        return [self.let(self.place_along(axis, body, point)) for axis in np.eye(3).tolist()]
 
     def rate(self, body, point):
         """Its velocity, world axes."""
-        return [self._read(body, f"d{part}", tuple(map(float, point))) for part in "xyz"]
-
-    def spin(self, body):
-        """Angular velocity, world axes."""
-        return [self._read(body, f"o{part}", None) for part in "xyz"]
+        return [self.let(self.rate_along(axis, body, point)) for axis in np.eye(3).tolist()]
 
     def approach(self, reach):
         """Let the points that follow matter only where the depth `reach` of a sphere around them is positive.
@@ -700,7 +723,7 @@ def _touch_plane(found, body, shape, axes, height):
     (t, s, n), slides = axes.T.tolist(), "friction" in found._numbers
     if shape.type != "sphere":
         middle, far = _around(shape)
-        near = found.approach(_minus(far + height, _dot(n, found.place(body, middle))))
+        near = found.approach(_minus(far + height, found.place_along(n, body, middle)))
         found.close_to_plane(near, body, np.linalg.norm(middle))
     if shape.type in ("cylinder", "rod"):
         for end in _ends(shape):
@@ -708,13 +731,12 @@ def _touch_plane(found, body, shape, axes, height):
         return found
     points, radius = _corners(shape)
     for point in points:
-        place, rate = found.place(body, point), found.rate(body, point)
-        slips = [_dot(t, rate), _dot(s, rate)]
+        slips = [found.rate_along(each, body, point) for each in (t, s)]
         if radius and slides:
             spin = found.spin(body)
             slips = [_minus(slips[0], _times(radius, _dot(s, spin))), _plus(slips[1], _times(radius, _dot(t, spin)))]
-        depth = _minus(radius + height, _dot(n, place))
-        force = found.press(depth, _dot(n, rate), slips, (n, (t, s)))
+        depth = _minus(radius + height, found.place_along(n, body, point))
+        force = found.press(depth, found.rate_along(n, body, point), slips, (n, (t, s)))
         found.act(body, point, force, _scaled(-radius, n))
         found.close_to_plane(found.depths[-1], body, np.linalg.norm(point))
     return found
@@ -734,8 +756,7 @@ def _touch_with_rim(found, body, shape, end, axes, height):
     """
     n, tangents = axes
     centre, speed, spin = found.place(body, end), found.rate(body, end), found.spin(body)
-    axis = _difference(found.place(body, end + shape.rotation[:, 2]), centre)
-    side = _difference(found.place(body, end + shape.rotation[:, 0]), centre)
+    axis, side = (found.direction(body, shape.rotation[:, k]) for k in (2, 0))
     # (n . axis) axis - n, without a difference of numbers near one where the cylinder stands.
     axis_n, *lean = (found.let(_dot(each, axis)) for each in (n, *tangents))
     parts = [*(_times(axis_n, each) for each in lean), _times(-1.0, _dot(lean, lean)), STANDING]
@@ -809,11 +830,8 @@ def _skeleton(shape):
 def _in_box(found, bodies, shapes):
     """(axes of the box in the world, ends of the axis of the other body from its middle, in these axes, its middle)."""
     (round_body, box), (shape, solid) = bodies, shapes
-    middle, axes = found.place(box, solid.position), []
-    for k in range(3):
-        axis = _difference(found.place(box, np.array(solid.position) + solid.rotation[:, k]), middle)
-        axes.append([found.let(each) for each in axis])
-    ends = []
+    middle, ends = found.place(box, solid.position), []
+    axes = [found.direction(box, solid.rotation[:, k]) for k in range(3)]
     for end in _skeleton(shape):
         apart = [found.let(each) for each in _difference(found.place(round_body, end), middle)]
         ends.append([found.let(_dot(apart, axis)) for axis in axes])

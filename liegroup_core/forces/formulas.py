@@ -583,27 +583,37 @@ def _change(operation, value, a, b, c, da, db, dc, begins, points, number):
 
 
 @kernel
-def _pass(code, i, registers, columns):
-    """Number of the instruction after a SKIP, see skipping.py; it sets the first columns of registers to zero."""
-    begin = i + 1 + code[i, 1]
-    registers[code[i, 4], 0] = 0.0
+def _pass(code, i, registers, columns, fresh):
+    """(number of the instruction after a SKIP, `fresh`): see skipping.py; sets the first columns of registers to zero.
+
+    They are zero if the last pass skipped the block, too: its own register tells of each column. But in a block that
+    was skipped itself then, up to the instruction `fresh`, inner blocks had no such pass.
+    """
+    begin, own = i + 1 + code[i, 1], code[i, 4]
+    were = registers[own, 0] != 0.0 and registers[own, columns - 1] != 0.0
+    are = registers[own, 0] != 0.0 or registers[own, columns - 1] != 0.0
     if registers[code[i, 2], 0] != 0.0:
-        registers[code[i, 4], 0] = 1.0
-        return begin
-    for row in range(i + 1, begin):
-        for k in range(5):
-            for c in range(columns):
-                registers[code[row, k], c] = 0.0
-    return begin + code[i, 3]
+        registers[own, 0] = registers[own, columns - 1] = 1.0
+        return begin, fresh if were else max(fresh, begin + code[i, 3])
+    if are or i < fresh:
+        for c in range(columns):
+            registers[own, c] = 0.0
+            for row in range(i + 1, begin):
+                for k in range(5):
+                    registers[code[row, k], c] = 0.0
+    return begin + code[i, 3], fresh
 
 
 @kernel
-def evaluate(code, begins, points, registers):
-    """Compute the values of all registers (m, 2) that instructions (p, 5) write; begins, points : see table_arrays."""
-    i = 0
+def evaluate(code, begins, points, registers, known):
+    """Compute the values of all registers (m, 2) that instructions (p, 5) write; begins, points : see table_arrays.
+
+    known : whether nothing else wrote results to this column since the last time
+    """
+    i, fresh = 0, 0 if known else len(code)
     while i < len(code):
         if code[i, 0] == SKIP:
-            i = _pass(code, i, registers, 1)
+            i, fresh = _pass(code, i, registers, 1, fresh)
             continue
         a, b, c = code[i, 2], code[i, 3], code[i, 4]
         registers[code[i, 1], 0] = _value(
@@ -613,12 +623,12 @@ def evaluate(code, begins, points, registers):
 
 
 @kernel
-def differentiate(code, begins, points, registers):
-    """As `evaluate`, also the derivatives along the direction of those of the inputs."""
-    i = 0
+def differentiate(code, begins, points, registers, known):
+    """As `evaluate`, also the derivatives along the direction of those of the inputs; known : of both columns."""
+    i, fresh = 0, 0 if known else len(code)
     while i < len(code):
         if code[i, 0] == SKIP:
-            i = _pass(code, i, registers, 2)
+            i, fresh = _pass(code, i, registers, 2, fresh)
             continue
         operation, to, a, b, c = code[i, 0], code[i, 1], code[i, 2], code[i, 3], code[i, 4]
         x, y, z = registers[a, 0], registers[b, 0], registers[c, 0]

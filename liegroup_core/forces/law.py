@@ -58,6 +58,7 @@ from .formulas import (
     ABOVE,
     ADD,
     BELOW,
+    BRANCHED,
     COMPARISONS,
     DIVIDE,
     MORE,
@@ -84,6 +85,7 @@ from .skipping import arrange
 
 OUTPUT = np.dtype(
     [
+        ("under", "i8"),  # register f of the block that computes all of it, see skipping.py, or -1
         ("body", "i8"),  # -1: an effort of a joint
         ("registers", "i8", (6,)),  # torque, force; of an effort the first
         ("in_world", "i8"),  # 1: in world axes
@@ -97,6 +99,8 @@ OUTPUT = np.dtype(
 # body to the farthest point of its shape, and how far they may move in a step while they are near.
 CLOSING = np.dtype([("kink", "i8"), ("bodies", "i8", (2,)), ("reach", "f8", (2,)), ("size", "f8")], align=True)
 ORIGIN = (0.0, 0.0, 0.0)
+# Register of 1.0 in a column if another program wrote results to this column after the last pass of Laws.code.
+FOREIGN = 4
 WITNESS = 1  # register of the last result that was not finite: its number from 1 on, and the time
 LAW_TIME = 3  # register of the time in formulas
 CAUSE = 2  # the next one: number of the first signal that was not finite then, 0 for none, and the value of the result
@@ -113,6 +117,7 @@ class Laws(Struct):
     code: np.ndarray  # (p, 5) instructions, and blocks that can be skipped, see skipping.py
     shown: np.ndarray  # (p', 5) the same, with signals that no output needs
     kinks: np.ndarray  # (q, 2) those with branches that can change; register f of the block it is in, or -1
+    branches: int  # first of the registers with their branches, in this order
     surfaces: np.ndarray  # (s,) numbers of the kinks along which a motion can slide
     compared: np.ndarray  # (q,) 1 where laws may jump, which are the first ones, 2 where a motion can slide
     tables: np.ndarray  # (t + 1,) first points of the tables
@@ -509,7 +514,9 @@ class _Program(NamedTuple):
 
     code, shown, kinks : see Laws
     times   : [s] that are compared with the time, in order
+    branches : first of the registers with the branches of kinks
     always  : registers of the results that are computed at any time, see skipping.py;  zero : register of the number 0
+    under   : {register of a result: register f of its block, or -1};  numbers : registers of numbers and parameters
     read    : {register that others in `code` read: conditions of all blocks around those};  inputs : read by `shown`
     owners  : [name] of the law of each kink
     compared, surfaces : numbers of the kinks where laws may jump, and of those along which a motion can slide
@@ -523,11 +530,14 @@ class _Program(NamedTuple):
     code: np.ndarray
     shown: np.ndarray
     kinks: np.ndarray
+    branches: int
     owners: list
     compared: list
     surfaces: list
     times: list
     always: set
+    under: dict
+    numbers: set
     zero: int
     read: dict
     inputs: set
@@ -543,7 +553,7 @@ def _compile_all(described):
             if len(each.laws) == len(laws) and all(map(same, each.laws, laws)):
                 return each
     program, signals, found, owners, needed = Program(), {}, [], [], []
-    program.new(), program.new(), program.new()  # WITNESS, CAUSE, LAW_TIME
+    program.new(), program.new(), program.new(), program.new()  # WITNESS, CAUSE, LAW_TIME, FOREIGN
     for law in laws:
         try:
             found.append(law.compile(program, signals))
@@ -567,6 +577,13 @@ def _compile_all(described):
     kinks.sort(key=lambda kink: (kink[0] in bends, kink[0]))
     compared = [k for k, (i, *_) in enumerate(kinks) if i not in bends]
     sliding = {law.name for law in laws if law.can_slide}
+    codes = [np.array([row for row, *_ in each], dtype=np.int32).reshape(-1, 5) for each in (rows, shown)]
+    renumbered, branches = np.arange(len(program.registers)), len(program.registers)
+    for i, *_ in kinks:
+        renumbered[program.code[i][4]] = program.new()
+    for each in codes:
+        branched = np.isin(each[:, 0], BRANCHED)
+        each[branched, 4] = renumbered[each[branched, 4]]
     _LAST.append(
         _Program(
             laws,
@@ -574,13 +591,16 @@ def _compile_all(described):
             signals,
             program.registers,
             program.tables,
-            *(np.array([row for row, *_ in each], dtype=np.int64).reshape(-1, 5) for each in (rows, shown)),
+            *codes,
             np.array([row for _, *row in kinks], dtype=np.int64).reshape(-1, 2),
+            branches,
             [owners[i] for i, *_ in kinks],
             compared,
             [k for k in compared if owners[kinks[k][0]] in sliding],
             _times(program, (kinks[k][0] for k in compared)),
             {row[1] for row, i, flag in rows if i >= 0 and flag < 0},
+            {row[1]: flag for row, i, flag in rows if i >= 0},
+            program.constants,
             zero,
             read,
             read_by_all.keys(),
@@ -770,9 +790,11 @@ def make_laws(described, index, ends, angles, slides, first, sensors=()):
         for each, own in zip(law.outputs, compiled.outputs):
             if each.joint is not None:
                 motion = axis.fields(each.joint in slides, *ends[each.joint])
-                outputs.append((-1, own * 6, 0, each.point, unit_of(each.joint, True), *motion))
+                outputs.append((-1, -1, own * 6, 0, each.point, unit_of(each.joint, True), *motion))
             elif each.body is not None:
-                outputs.append((index[each.body], own, each.axes == "world", each.point, -1, *NO_AXIS))
+                under = {program.under.get(at, -1) for at in own if at not in program.numbers} or {-1}
+                under = under.pop() if len(under) == 1 else -1
+                outputs.append((under, index[each.body], own, each.axes == "world", each.point, -1, *NO_AXIS))
         owners += [number] * (len(outputs) - len(owners))
     kink_of = {each: k for k in program.compared for each in program.code[program.kinks[k, 0], 2:4].tolist()}
     closing = [
@@ -793,6 +815,7 @@ def make_laws(described, index, ends, angles, slides, first, sensors=()):
         code=program.code,
         shown=program.shown,
         kinks=program.kinks,
+        branches=program.branches,
         surfaces=np.array(program.surfaces, dtype=np.int64),
         compared=np.array([(k in compared) + (k in surfaces) for k in range(len(program.kinks))], dtype=np.int64),
         tables=begins,
@@ -806,7 +829,7 @@ def make_laws(described, index, ends, angles, slides, first, sensors=()):
         held=np.array(held, dtype=np.int64),
         first=first,
         sampled_inputs=sampled_inputs,
-        sampled_code=np.array(sampled_code, dtype=np.int64).reshape(-1, 5),
+        sampled_code=np.array(sampled_code, dtype=np.int32).reshape(-1, 5),
         start=np.array([*start, *[0.0] * len(program.surfaces), *(each.start for _, each in states_of(described))]),
         scales=np.array([each.scale for _, each in states_of(described)]),
         registers=registers,
@@ -876,7 +899,7 @@ def _read(laws, angle, pose, twist, registers):
         if laws.held[j] >= 0:
             registers[laws.held[j], 0] = angle[laws.first + j]
     for j in range(len(laws.surfaces)):
-        at = laws.code[laws.kinks[laws.surfaces[j], 0], 4]
+        at = laws.branches + laws.surfaces[j]
         if registers[at, 0] == UNKNOWN:
             registers[at, 0] = angle[laws.first + len(laws.held) + j]
     for e in range(len(laws.axes)):
@@ -913,7 +936,7 @@ def _add(body, torque, force, wrench_out):
 def forget_branches(laws, registers):
     """Let surfaces have the branches that were kept, see `_read`."""
     for j in range(len(laws.surfaces)):
-        registers[laws.code[laws.kinks[laws.surfaces[j], 0], 4], 0] = UNKNOWN
+        registers[laws.branches + laws.surfaces[j], 0] = UNKNOWN
 
 
 @kernel
@@ -922,7 +945,7 @@ def set_branches(laws, branches, registers):
     if len(branches) == 0:
         forget_branches(laws, registers)
     for k in range(len(branches)):
-        registers[laws.code[laws.kinks[k, 0], 4], 0] = branches[k]
+        registers[laws.branches + k, 0] = branches[k]
 
 
 @kernel
@@ -957,14 +980,22 @@ def _change_to(now, before):
     return change if change == change else math.inf
 
 
+@kernel
+def _evaluate_all(laws, registers):
+    evaluate(laws.code, laws.tables, laws.points, registers, registers[FOREIGN, 0] == 0.0)
+    registers[FOREIGN, 0] = 0.0
+
+
 @subroutine
 def _evaluate(laws, registers):
-    evaluate(laws.code, laws.tables, laws.points, registers)
+    _evaluate_all(laws, registers)
 
 
 @subroutine
 def _differentiate(laws, registers):
-    differentiate(laws.code, laws.tables, laws.points, registers)
+    known = registers[FOREIGN, 0] == registers[FOREIGN, 1] == 0.0
+    differentiate(laws.code, laws.tables, laws.points, registers, known)
+    registers[FOREIGN, 0] = registers[FOREIGN, 1] = 0.0
 
 
 @shared
@@ -988,8 +1019,7 @@ def branch_matters(laws, branches, registers, k, branch, force, span, part, leas
     for j in range(len(laws.kinks)):
         if laws.kinks[j, 1] >= 0:
             registers[laws.kinks[j, 1], 1] = registers[laws.kinks[j, 1], 0]
-    i = laws.kinks[k, 0]
-    registers[laws.code[i, 4], 0] = branch
+    registers[laws.branches + k, 0] = branch
     _evaluate(laws, registers)
     if laws.compared[k] > 0:
         part = 1.0
@@ -1011,11 +1041,33 @@ def branch_matters(laws, branches, registers, k, branch, force, span, part, leas
             registers[laws.outputs[e]["registers"][c], 1] = 0.0
     for s in range(len(laws.states)):
         registers[laws.states[s, 1], 1] = 0.0
+    registers[FOREIGN, 1] = 1.0
     set_branches(laws, branches, registers)
     _evaluate(laws, registers)
     if _open_branches(laws, registers, 0):
         _evaluate(laws, registers)
     return found
+
+
+@kernel
+def is_computed(laws, registers, e):
+    """Whether output e is computed, at computed registers; elsewhere it is zero."""
+    under = laws.outputs[e]["under"]
+    return under < 0 or registers[under, 0] != 0.0
+
+
+@kernel
+def _are_finite(laws, registers, column):
+    """Whether all outputs and rates of states are finite."""
+    total = 0.0
+    for e in range(len(laws.outputs)):
+        if is_computed(laws, registers, e):
+            at = laws.outputs[e]["registers"]
+            for k in range(6):
+                total += 0.0 * registers[at[k], column]
+    for s in range(len(laws.states)):
+        total += 0.0 * registers[laws.states[s, 1], column]
+    return total == 0.0
 
 
 @kernel
@@ -1035,10 +1087,10 @@ def _are_numbers(laws, registers, column):
 @kernel
 def _open_branches(laws, registers, column):
     """Whether a branch has no values beyond its end, as a root has none; then all are those of the arguments."""
-    if len(laws.kinks) == 0 or _are_numbers(laws, registers, column):
+    if len(laws.kinks) == 0 or _are_finite(laws, registers, column) or _are_numbers(laws, registers, column):
         return False
     for k in range(len(laws.kinks)):
-        registers[laws.code[laws.kinks[k, 0], 4], 0] = UNKNOWN
+        registers[laws.branches + k, 0] = UNKNOWN
     return True
 
 
@@ -1049,26 +1101,25 @@ def measure(laws, angle, pose, twist, registers):
     angle : (k,) rad, all unwrapped angles after the last step, and what sampled laws hold
     """
     _read(laws, angle, pose, twist, registers)
-    evaluate(laws.code, laws.tables, laws.points, registers)
-    if _open_branches(laws, registers, 0):
-        _evaluate(laws, registers)
-    _note_undefined(laws, registers)
+    _evaluate_all(laws, registers)
+    if not _are_finite(laws, registers, 0):
+        if _open_branches(laws, registers, 0):
+            _evaluate(laws, registers)
+        _note_undefined(laws, registers)
 
 
 @kernel
 def measure_all(laws, angle, pose, twist, registers):
     """As `measure`, with signals that no output needs."""
     measure(laws, angle, pose, twist, registers)
-    evaluate(laws.shown, laws.tables, laws.points, registers)
+    evaluate(laws.shown, laws.tables, laws.points, registers, False)
+    registers[FOREIGN, 0] = 1.0
 
 
 @kernel
 def _note_undefined(laws, registers):
     """Note the first result that is not finite, where all inputs and states are."""
-    total = 0.0
-    for j in range(len(laws.results)):
-        total += 0.0 * registers[laws.results[j], 0]
-    if total == 0.0:
+    if _are_finite(laws, registers, 0):
         return
     for e in range(len(laws.inputs)):
         total = registers[laws.inputs[e]["to"], 0]
@@ -1096,7 +1147,7 @@ def sample(laws, inputs, noise, code, angle, pose, twist, registers):
     read_all(inputs, angle, pose, twist, registers)
     for e in range(len(inputs)):
         registers[inputs[e]["to"], 0] += noise[e]
-    evaluate(code, laws.tables, laws.points, registers)
+    evaluate(code, laws.tables, laws.points, registers, True)
 
 
 @kernel
@@ -1107,11 +1158,10 @@ def add_wrench(laws, registers, pose, wrench_out):
         if row["body"] < 0:
             effort = registers[row["registers"][0], 0]
             axis.apply(row, axis.kept_unit(registers, row["unit"]), effort, wrench_out)
-        else:
+        elif is_computed(laws, registers, e):  # most points of contact do not touch
             torque, force = _wrench(row, registers, 0)
-            if dot3(torque, torque) != 0.0 or dot3(force, force) != 0.0:  # most points of contact do not touch
-                torque, force = _in_body(row, pose, torque, force)
-                _add(row["body"], torque, force, wrench_out)
+            torque, force = _in_body(row, pose, torque, force)
+            _add(row["body"], torque, force, wrench_out)
 
 
 @kernel
@@ -1184,6 +1234,8 @@ def add_change(laws, registers, pose, twist, moves, rates, wrench_out):
             axis.add_change(
                 row, unit, pose, twist, moves, rates, registers[at, 0], 0.0, 0.0, registers[at, 1], wrench_out
             )
+            continue
+        if not is_computed(laws, registers, e):
             continue
         torque, force = _wrench(row, registers, 1)
         torque, force = _in_body(row, pose, torque, force)

@@ -14,12 +14,13 @@ import numpy as np
 
 from liegroup_core.compiling import kernel
 from liegroup_core.lie.so3 import so3_to_quaternion
-from liegroup_core.lie.vec3 import add3, cross3, dot3, load3, load9, matmul3, matrix3, sub3, tmatvec3, vector3
+from liegroup_core.lie.vec3 import add3, cross3, dot3, load3, load9, matmul3, matrix3, matvec3, sub3, tmatvec3, vector3
 
 from . import axis
 from .points import point, point_velocity, turning
 
-POSITION, RATE, PLACE, ATTITUDE, SPIN, SPEED, PLACE_RATE, WORLD_SPIN, DISTANCE, DISTANCE_RATE = range(10)  # what it is
+# What it is
+POSITION, RATE, PLACE, ATTITUDE, SPIN, SPEED, PLACE_RATE, WORLD_SPIN, DIRECTION, DISTANCE, DISTANCE_RATE = range(11)
 ORIGIN, UNIT = (0.0, 0.0, 0.0), np.eye(3)
 
 
@@ -70,6 +71,8 @@ _OF_BODY = (
     | {f"d{name}": Reading(PLACE_RATE, component=k) for k, name in enumerate("xyz")}
     | {f"o{name}": Reading(WORLD_SPIN, component=k) for k, name in enumerate("xyz")}
 )
+# Of contacts: the vector that is given as a point, in world axes.
+_OF_CONTACT = {f"n{name}": Reading(DIRECTION, component=k) for k, name in enumerate("xyz")}
 TABLE = {"joint": {"position": Reading(POSITION), "velocity": Reading(RATE)}, "body": _OF_BODY}
 POINTS = tuple(part for part, reading in _OF_BODY.items() if reading.what in (PLACE, SPEED, PLACE_RATE))
 
@@ -133,7 +136,7 @@ def reading(quantity, joints, sensors, point=None):
         return readings_of(sensors[owner])[number_of(sensors[owner], part)]
     if owner in joints and part in TABLE["joint"]:
         return TABLE["joint"][part]._replace(joint=owner)
-    found = TABLE["body"][part]._replace(body=owner)
+    found = (_OF_BODY | _OF_CONTACT)[part]._replace(body=owner)
     return found if point is None else found._replace(point=point)
 
 
@@ -246,6 +249,8 @@ def read_all(inputs, angle, pose, twist, registers):
             value = point_velocity(pose, twist, body, vector3(row["point"]))[k]
         elif what == WORLD_SPIN:
             value = turning(pose, twist, body)[k]
+        elif what == DIRECTION:
+            value = matvec3(load9(pose, body, 0), vector3(row["point"]))[k]
         else:
             apart, length = _apart(row, pose)
             value = length
@@ -281,6 +286,9 @@ def read_changes(inputs, pose, twist, moves, rates, registers):
         elif what == WORLD_SPIN:
             turned = cross3(turning(pose, moves, body), turning(pose, twist, body))
             value = add3(turning(pose, rates, body), turned)[k]
+        elif what == DIRECTION:
+            arm = matvec3(load9(pose, body, 0), vector3(row["point"]))
+            value = cross3(turning(pose, moves, body), arm)[k]
         else:
             apart, length = _apart(row, pose)
             moved = _apart_rate(row, pose, moves)

@@ -30,14 +30,13 @@ from .vectors import (
     turning,
 )
 
-ANGLE, RATE, SLIDE, SLIDE_RATE, PLACE, PLACE_RATE, WORLD_SPIN, ATTITUDE, SPIN, SPEED, APART, APART_RATE = range(
-    12
-)  # inputs
+ANGLE, RATE, SLIDE, SLIDE_RATE = range(4)  # inputs, of joints
+PLACE, PLACE_RATE, WORLD_SPIN, DIRECTION, ATTITUDE, SPIN, SPEED, APART, APART_RATE = range(4, 13)
 TORQUE, FORCE, BODY, WORLD = range(4)  # outputs: effort of a joint, or wrench in the axes of the body or the world
 TURN, SHIFT = 4, 5  # target of a servo about or along the axis of a joint
 NS = 10**9  # instants are at whole ns
 UNUSED = 0  # place of a held value that nothing reads: that of the time, which is written last
-_OF_BODY = {"": PLACE, "d": PLACE_RATE, "o": WORLD_SPIN, "q": ATTITUDE, "w": SPIN, "v": SPEED}
+_OF_BODY = {"": PLACE, "d": PLACE_RATE, "o": WORLD_SPIN, "n": DIRECTION, "q": ATTITUDE, "w": SPIN, "v": SPEED}
 
 
 class LawLoads(NamedTuple):
@@ -268,6 +267,8 @@ def _input(laws, i, state, frame, angle):
         return point(frame, a, at)[what - PLACE][b]
     if what == WORLD_SPIN:
         return turned(frame, a, three(state, a, 10))[b]
+    if what == DIRECTION:
+        return turned(frame, a, at)[b]
     if what == ATTITUDE:
         w, x, y, z = state[a, 0], state[a, 1], state[a, 2], state[a, 3]
         length = np.sqrt(w * w + x * x + y * y + z * z)

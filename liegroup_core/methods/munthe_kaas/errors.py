@@ -5,7 +5,16 @@ The differences of the degrees of freedom add up along the tree, so links are pr
 """
 
 from liegroup_core.compiling import kernel
-from liegroup_core.dynamics.algebra import is_direct, lifted, link_of, rate_twist, relative, spatial, tree_size
+from liegroup_core.dynamics.algebra import (
+    first_state,
+    is_direct,
+    lifted,
+    link_of,
+    rate_twist,
+    relative,
+    spatial,
+    tree_size,
+)
 from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.se3 import se3_Ad_inverse
 from liegroup_core.lie.vec3 import add3, cross3, load3, store3, vector3
@@ -57,9 +66,11 @@ def _of_link(model, work, i, place):
 def _error_of_state(model, work, scheme, row, h, i, rtol, atol):
     """Square of the error estimate of the state of a law, the rate of link i."""
     change, value = 0.0, abs(work.stage_twist[len(model.bodies) + i, 0])
+    s = i - tree_size(model)
+    f = first_state(model, work) + s
     for stage in range(scheme.error.shape[1]):
-        change += scheme.error[row, stage] * work.slopes[stage * len(work.freedoms) + model.links[i]["freedom"], 1]
-    error = h * change / (atol * model.space.forces.laws.scales[i - tree_size(model)] + rtol * value)
+        change += scheme.error[row, stage] * work.slopes[stage * len(work.freedoms) + f, 1]
+    error = h * change / (atol * model.space.forces.laws.scales[s] + rtol * value)
     return error * error
 
 

@@ -9,7 +9,7 @@ import math
 
 from liegroup_core.compiling import kernel
 from liegroup_core.dynamics.accelerations import accelerations
-from liegroup_core.dynamics.algebra import is_direct, tree_size
+from liegroup_core.dynamics.algebra import first_state, is_direct, tree_size
 from liegroup_core.dynamics.coordinates import displace, normalise
 from liegroup_core.dynamics.loads import UNSETTLED
 from liegroup_core.dynamics.loops import project
@@ -69,8 +69,9 @@ def move(model, work, scheme, h, stage, end, pose):
         if is_direct(model, link):
             v = to_link(work.stage_pose, n + b, load3(work.stage_twist, n + b, 3))
             store3(v, work.stage_twist, n + b, 3)
-    for b in range(tree_size(model), len(model.links)):  # what it integrates is its rate
-        work.stage_twist[n + b, 0] = work.velocity[b, 0] + work.slopes[first + model.links[b]["freedom"], 1]
+    size, state = tree_size(model), first + first_state(model, work)
+    for s in range(len(model.law_links)):  # what it integrates is its rate
+        work.stage_twist[n + size + s, 0] = work.velocity[size + s, 0] + work.slopes[state + s, 1]
     if not largest < LARGEST_ROTATION * LARGEST_ROTATION:
         return ROTATION_TOO_LARGE if largest < math.inf else NOT_FINITE
     work.report[STEP_TURN] = max(work.report[STEP_TURN], largest)
@@ -94,7 +95,8 @@ def store_slopes(model, work, scheme, stage):
     if model.only_free_bodies:
         store_slopes_of_bodies(model, work, scheme, stage)
         return
-    for b in range(len(model.links)):
+    size, state = tree_size(model), first_state(model, work)
+    for b in range(size):
         link = model.links[b]
         f, row = link["freedom"], n + b
         at = first + f
@@ -108,6 +110,9 @@ def store_slopes(model, work, scheme, stage):
                 work.slopes[at + k, 0] = work.stage_twist[row, k]
         for k in range(link["freedoms"]):
             work.slopes[at + k, 1] = work.acceleration[f + k, 0]
+    for s in range(len(model.law_links)):
+        at = first + state + s
+        work.slopes[at, 0], work.slopes[at, 1] = work.stage_twist[n + size + s, 0], work.acceleration[state + s, 0]
         if is_direct(model, link):
             w, v = load3(work.stage_twist, row, 0), load3(work.stage_twist, row, 3)
             rate = load_column(work.slopes, at + 3, 1)
