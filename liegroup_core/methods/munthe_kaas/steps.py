@@ -110,15 +110,15 @@ def store_slopes(model, work, scheme, stage):
                 work.slopes[at + k, 0] = work.stage_twist[row, k]
         for k in range(link["freedoms"]):
             work.slopes[at + k, 1] = work.acceleration[f + k, 0]
-    for s in range(len(model.law_links)):
-        at = first + state + s
-        work.slopes[at, 0], work.slopes[at, 1] = work.stage_twist[n + size + s, 0], work.acceleration[state + s, 0]
         if is_direct(model, link):
             w, v = load3(work.stage_twist, row, 0), load3(work.stage_twist, row, 3)
             rate = load_column(work.slopes, at + 3, 1)
             store_column(to_world(work.stage_pose, row, v), work.slopes, at + 3, 0)
             rate = to_world_rate(work.stage_pose, row, w, v, rate)
             store_column(rate, work.slopes, at + 3, 1)
+    for s in range(len(model.law_links)):
+        at = first + state + s
+        work.slopes[at, 0], work.slopes[at, 1] = work.stage_twist[n + size + s, 0], work.acceleration[state + s, 0]
     if stage == 0 and len(model.switches) > 0:
         set_rates(model, work, work.since)
 
