@@ -24,7 +24,8 @@ STIFF = "radau5"
 # Evaluations in the first FIRST steps of the companion, above which both methods are tried at once.
 DEAR, FIRST = 1000.0, 4
 # Evaluations of the simulation per one of the companion, below which stability limits the explicit method.
-# If tolerances limit it, the ratio is about 1.5, as the companion rejects more, and if stability does, about 1.
+# If tolerances limit it, the ratio is that of the substeps, 1.5, or less, as the companion rejects more; if stability
+# does, about 1. Where a stiff motion follows another one, between both, the order is lower and the ratio above 1.5.
 ALIKE = 1.25
 # Least evaluations of the companion of which the ratio is taken: then it differs by a tenth between two times. And in
 # a trial: a substep more or less changes them by a twentieth.
@@ -96,7 +97,8 @@ class MethodChoice:
         if theirs < SEEN and self._integrators[0].chosen == EXPLICIT:
             return  # by then a substep more or less matters
         self._waiting -= theirs
-        if self._waiting <= 0.0 and (ours < ALIKE * theirs or self._integrators[0].chosen == IMPLICIT):
+        alone = ALIKE * theirs <= ours <= self._running.ratio * theirs  # tolerances alone limit the explicit method
+        if self._waiting <= 0.0 and (not alone or self._integrators[0].chosen == IMPLICIT):
             self._choose(max(1, math.ceil(TRIAL * steps / theirs)) if theirs else 1)
         self._count()
 
