@@ -52,7 +52,7 @@ class JointInstant(NamedTuple):
 class Switching(EventTimes):
     """Steps of a Munthe-Kaas method with the events of the switches of its model.
 
-    take, step, control : see EventTimes
+    take, step, control, weights : see EventTimes
     lead    : Lead of the method
     touching : Touching of the contacts; None: their events are not noted
 
@@ -62,8 +62,8 @@ class Switching(EventTimes):
     tally   : (g,) number of instants at which a guard of each switch and branch was zero, since the state was set
     """
 
-    def __init__(self, model, work, take, step, control, lead, touching):
-        super().__init__(model, work, take, step, control)
+    def __init__(self, model, work, take, step, control, weights, lead, touching):
+        super().__init__(model, work, take, step, control, weights)
         self._lead, self._points = lead, None
         # Without error control, not all branches are known.
         is_known = touching.names and len(work.branches) == len(model.space.forces.laws.kinks)

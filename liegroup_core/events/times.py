@@ -11,18 +11,25 @@ import math
 import numpy as np
 import scipy
 
-from liegroup_core.dynamics.switches import AT_STOP, LOWER, RESTING, SLIDING, UPPER
+from liegroup_core.dynamics.switches import AT_STOP, LEAST, LOWER, RESTING, SLIDING, UPPER
 from liegroup_core.forces.law import may_be_beyond
-from liegroup_core.mechanism.arrays import COORDINATE, SIDE, WATCHED
+from liegroup_core.mechanism.arrays import COORDINATE, NODES, SIDE, WATCHED
 from liegroup_core.status import OK
 
-from .crossings import lowest
+from .crossings import END, PARTS, START, lowest
 from .mode_changes import ModeChanges
 
 TIME_PART = 1e-13  # tolerance of an event's time, relative to the substep
+# The same at bends of contacts. A state that is late by a part p of a substep is off by p times a jump of its rates;
+# here, where both branches leave each other slowly, by p^2 / 2 times their change.
+BEND_PART = math.sqrt(TIME_PART)
+NOTED = -1.0  # of Work.watch: guards of stages are kept, but no event ends the step
+TRIES = 4  # steps from an expected time, see `_soon_after`
+# Coefficients of a polynomial, the highest first, from its values at the ends of the parts of a substep.
+COEFFICIENTS = np.linalg.pinv(np.vander(np.arange(PARTS + 1) / PARTS, NODES))
 DIGIT = 2.0**-52  # round-off of a gap, relative to the characteristic length plus |stop|
 SAME_TIME, SAME_PART = 1e-14, 1e-9  # s, and relative to a step; events that are closer count as one
-HALVINGS, MOST_LOOKS = 40, 400
+SHRINKS, MOST_LOOKS = 10, 400  # by 16, to 1e-12 of a substep
 APART = 1e3  # times of two zeros, by linear interpolation, in units of `same_time`
 # Points of an interpolation; part of the first interval within which residuals decrease by far more than half, unless
 # they are round-off.
@@ -39,14 +46,15 @@ class EventTimes(ModeChanges):
     take    : function (h, steps, pose, twist, external) -> (steps done, status)
     step    : the same, without error control
     control : SubstepControl
+    weights : function () -> weights of the stages of the present method, see crossings.rows_and_weights
 
     parts   : number of steps up to an event. The event's time sets their size; another number of parts
               shows their error, see RunningError
     """
 
-    def __init__(self, model, work, take, step, control):
+    def __init__(self, model, work, take, step, control, weights):
         super().__init__(model, work)
-        self._take, self._step, self._control, self.parts = take, step, control, 1
+        self._take, self._step, self._control, self._weights, self.parts = take, step, control, weights, 1
         self.same_time = SAME_TIME
         self._all_modes = work.held, work.modes, work.branches
         table = model.switches
@@ -67,8 +75,8 @@ class EventTimes(ModeChanges):
         event the mask is None, and the whole substep is taken
         """
         work = self._work
-        places = work.crossed.copy()
-        kept = self._keep(*state[:2])
+        places, kept = work.crossed.copy(), self._keep(*state[:2])
+        course = self._course(size, state, kept) if (places[len(work.modes) :] == 1.0).any() else None
         failed, reached = [], [-1.0, None]  # time of the present state, and the branches there
 
         @functools.cache
@@ -100,6 +108,12 @@ class EventTimes(ModeChanges):
         ends = []
         for k, c in np.argwhere(places >= 0.0):
             end = places[k, c] * size
+            expected, slope = math.nan, math.nan
+            if course is not None and places[k, c] == 1.0 and k >= len(work.modes) and not self._may_be_beyond(k, c):
+                expected, slope = self._expected(course[:, k, c - LEAST])
+            if expected > 0.0:
+                ends.append((expected * size, slope / size, end, k, c))
+                continue
             if not guard(end, k, c) < 0.0:
                 end = None
                 if c <= UPPER and not failed:
@@ -111,22 +125,28 @@ class EventTimes(ModeChanges):
             if end is not None:  # else it only seemed to dip below zero
                 above = max(guard(0.0, k, c), 0.0)  # infinite where a law skipped it
                 place = above / (above - guard(end, k, c)) if above < math.inf else 1.0
-                ends.append((end * place, end, k, c))
+                ends.append((end * place, math.nan, end, k, c))
         tau, crossed = size, np.zeros(places.shape, dtype=bool)
-        for _, end, k, c in sorted(ends):  # by linear interpolation
-            later = tau + self.same_time
+        for expected, slope, end, k, c in sorted(ends):
+            later, is_known = tau + self.same_time, slope < 0.0
             if crossed.any():
-                here, there = guard(tau, k, c), guard(end, k, c)
-                if here > 0.0 > there and (end - tau) * here > APART * self.same_time * (here - there):
-                    continue  # its zero is later, by linear interpolation
+                if guard(tau, k, c) > 0.0 and expected - tau > APART * self.same_time:
+                    continue  # its zero is later, by interpolation
                 if end > later and not guard(later, k, c) < 0.0:
                     continue
                 end = min(end, later)
-            if end == later and tau > self.same_time and guard(tau - self.same_time, k, c) > 0.0:
+            same = max(self.same_time, 2.0 * BEND_PART * size) if self._is_bend(k) else self.same_time
+            if end == later and tau > same and guard(tau - same, k, c) > 0.0:
                 crossed[k, c] = True
                 continue
             try:
-                at = self._zero(guard, gap, end, TIME_PART * size, k, c)
+                at = None
+                if is_known and end == size and self._is_bend(k):
+                    at = self._soon_after(guard, expected, slope, size, k, c)
+                if at is None and is_known and not guard(end, k, c) < 0.0:
+                    continue
+                if at is None:
+                    at = self._zero(guard, gap, end, TIME_PART * size, k, c, expected if is_known else math.nan)
             except ValueError:  # a guard is none where a trial failed
                 if not failed:
                     raise
@@ -149,6 +169,49 @@ class EventTimes(ModeChanges):
         if k < switches:
             return c <= UPPER and self._rigid[k]
         return may_be_beyond(self._model.space.forces.laws, self._work.branches[k - switches], k - switches)
+
+    def _is_bend(self, k):
+        """Whether guard k is that of a bend of a contact, see Laws.compared."""
+        k -= len(self._work.modes)
+        return k >= 0 and self._model.space.forces.laws.compared[k] < 0
+
+    def _course(self, size, state, kept):
+        """Guards at the stages of the substep, as Work.course, or None if it fails."""
+        work = self._work
+        before = work.course.copy()
+        self._return(kept, *state[:2])
+        work.watch[WATCHED] = NOTED
+        _, status = self._step(size, 1, *state)
+        work.watch[WATCHED] = 1.0
+        found, work.course[:] = work.course.copy(), before
+        return found if status == OK else None
+
+    def _expected(self, values):
+        """(fraction of a substep at which a guard with these values at stages is zero, its slope there), or NaN.
+
+        Zero of the polynomial through them, if it is positive at the start and negative at the end.
+        """
+        weights, begin, end = self._weights()[0], values[START], values[END]
+        used = weights[0] != 0.0
+        used[[START, END]] = True
+        if not (begin > 0.0 > end and np.isfinite(values[used]).all()):
+            return math.nan, math.nan
+        polynomial = COEFFICIENTS @ [begin, *(weights[:, used] @ values[used]), end]
+        place = scipy.optimize.brentq(lambda s: np.polyval(polynomial, s), 0.0, 1.0, xtol=TIME_PART)
+        return place, float(np.polyval(np.polyder(polynomial), place))
+
+    def _soon_after(self, guard, expected, slope, size, k, c):
+        """Time at which a guard is negative, by BEND_PART of a substep after its zero at most; None: none was found."""
+        late = BEND_PART * size
+        time = expected + late
+        for _ in range(TRIES):
+            if not 0.0 < time < size:
+                return None
+            since = guard(time, k, c) / slope
+            if 0.0 <= since <= 2.0 * late:
+                return time
+            time += late - since
+        return None
 
     def _acts(self, k, c):
         """Whether a compliant stop acts."""
@@ -180,8 +243,8 @@ class EventTimes(ModeChanges):
         found = find(guard, args=(k, c), bounds=near, method="bounded", options=options)
         return float(found.x) if found.fun < 0.0 else None
 
-    def _zero(self, guard, gap, end, precise, k, c):
-        """Time of the zero of a guard before `end`, where it is negative; to `precise` s."""
+    def _zero(self, guard, gap, end, precise, k, c, expected):
+        """Time of the zero of a guard before `end`, where it is negative; to `precise` s. expected : s, or NaN."""
         round_off = ROUND_OFF_PART * -guard(end, k, c)
         begin, starts = 0.0, guard(0.0, k, c) > max(self._at_zero[k, c], round_off)
         # Its zero for a constant acceleration; after an impact it is a small fraction of the substep.
@@ -196,15 +259,15 @@ class EventTimes(ModeChanges):
                 begin, starts = BEFORE * near, True
         if not starts:
             # After an event the guard starts at zero and grows; if it does not grow, the start is its zero.
-            begin = end
-            for _ in range(HALVINGS):
-                begin *= 0.5
+            for _ in range(SHRINKS):
+                begin = end / 16.0
                 if guard(begin, k, c) > 0.0:
                     break
+                end = begin
             else:
                 return 0.0
         # A held switch is released where its effort is at its bound or beyond: then it moves away.
-        return root_of(functools.partial(guard, k=k, c=c), begin, end, precise, c > SLIDING)
+        return root_of(functools.partial(guard, k=k, c=c), begin, end, precise, c > SLIDING, expected)
 
     def _closed(self, guard, gap, near, end, precise, k, c):
         """Time at which a gap closes, by Newton's method from `near`, or None."""
@@ -244,10 +307,10 @@ class EventTimes(ModeChanges):
             part[:] = values
 
 
-def root_of(function, begin, end, precise, beyond):
+def root_of(function, begin, end, precise, beyond, expected=math.nan):
     """Root of a function between two times at which its signs differ, to `precise`: one at which it was evaluated.
 
-    beyond : whether the function must not be positive there
+    beyond : whether the function must not be positive there;  expected : the root, as far as it is known, or NaN
 
     Inverse interpolation through the points next to it, because each costs a step of a mechanism: it converges faster
     than Brent's method, which has three. Where a residual is not halved, the next step goes further, then as far as the
@@ -272,6 +335,9 @@ def root_of(function, begin, end, precise, beyond):
         width = abs(far - near)
         points.sort(key=lambda each: abs(each[0] - near))
         step = _zero_of(points[:MOST_POINTS]) - near
+        if len(points) == 2 and min(begin, end) < expected < max(begin, end):
+            time = expected
+            continue
         if width <= (short if stale else precise) or not stale and len(points) > 2 and abs(step) <= precise:
             break
         time = near + step
@@ -281,7 +347,7 @@ def root_of(function, begin, end, precise, beyond):
         if not min(near, far) < time < max(near, far):
             time = 0.5 * (near + far)
     while beyond and value > 0.0:
-        near, precise = min(near + precise, end), 2.0 * precise
+        near, precise = min(near + precise, end), FURTHER * FURTHER * precise
         value = function(near)
     return near
 

@@ -119,7 +119,9 @@ class Laws(Struct):
     kinks: np.ndarray  # (q, 2) those with branches that can change; register f of the block it is in, or -1
     branches: int  # first of the registers with their branches, in this order
     surfaces: np.ndarray  # (s,) numbers of the kinks along which a motion can slide
-    compared: np.ndarray  # (q,) 1 where laws may jump, which are the first ones, 2 where a motion can slide
+    # (q,) 1 where laws may jump, which are the first ones, 2 where a motion can slide, -1 where nothing jumps, and a
+    # branch that goes on beyond its end does not leave the other one at once: bends of contacts
+    compared: np.ndarray
     tables: np.ndarray  # (t + 1,) first points of the tables
     points: np.ndarray  # (n, 2) their points
     outputs: np.ndarray  # (o,) of OUTPUT
@@ -753,6 +755,10 @@ def make_laws(described, index, ends, angles, slides, first, sensors=()):
     """
     program = _compile_all(described)
     compared, surfaces = set(program.compared), set(program.surfaces)
+    contacts = {law.name for law in program.laws if not law._jumps}
+    kinds = [
+        (k in compared) + (k in surfaces) or (-1 if owner in contacts else 0) for k, owner in enumerate(program.owners)
+    ]
     all_registers = [*program.registers]
     outputs, owners, states, held, start, sampled_code, results, shown = [], [], [], [], [], [], [], []
     reads = {False: [], True: []}  # of continuous laws, and of sampled ones
@@ -817,7 +823,7 @@ def make_laws(described, index, ends, angles, slides, first, sensors=()):
         kinks=program.kinks,
         branches=program.branches,
         surfaces=np.array(program.surfaces, dtype=np.int64),
-        compared=np.array([(k in compared) + (k in surfaces) for k in range(len(program.kinks))], dtype=np.int64),
+        compared=np.array(kinds, dtype=np.int64),
         tables=begins,
         points=points,
         outputs=np.array(outputs, dtype=OUTPUT),

@@ -63,10 +63,10 @@ def substep(scheme, model, work, size, start, elapsed, first, last, pose, extern
     """
     stages, inside = scheme.error.shape[1] - 1, len(scheme.a) - 1
     controlled = len(scheme.error) > 0
-    watching = steps.watches(model, work)
+    noting = steps.notes(work)
     # Accelerations at the end are needed for events, for the next substep unless the end is projected, and
     # for estimates that have a weight for them.
-    ending = watching or controlled and not model.projects
+    ending = noting or controlled and not model.projects
     for row in range(len(scheme.error)):
         ending = ending or scheme.error[row, stages] != 0.0
     if controlled:
@@ -85,6 +85,6 @@ def substep(scheme, model, work, size, start, elapsed, first, last, pose, extern
             if dependent >= 0:
                 return DEPENDENT_ROWS + (dependent << 8)
             steps.store_slopes(model, work, scheme, stage)
-            if watching and last == stages + 1:
+            if noting and last == stages + 1:
                 steps.note_stage(model, work, scheme, stage)
     return OK

@@ -83,7 +83,7 @@ def _evaluate(scheme, model, work, j, time, pose, external):
         for c in range(half):
             newton.slopes[j, r * half + c, 0] = work.slopes[rows + r, c]
             newton.slopes[j, r * half + c, 1] = work.slopes[rows + r, half + c]
-    if j != START and steps.watches(model, work):
+    if j != START and steps.notes(work):
         steps.note_stage(model, work, scheme, j + 1 if j < STAGES else STAGES + 1)
     return OK
 
@@ -347,7 +347,7 @@ def substep(scheme, model, work, size, start, elapsed, first, pose_in, external_
         if dependent >= 0:
             return DEPENDENT_ROWS + (dependent << 8)
         steps.store_slopes(model, work, scheme, 0)
-        if steps.watches(model, work):
+        if steps.notes(work):
             steps.note_stage(model, work, scheme, 0)
     _load(work.slopes, 0, newton.initial)
     # Never the Jacobian of an earlier step, so that a run repeated from this step on is bit-identical.

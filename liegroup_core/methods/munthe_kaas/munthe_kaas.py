@@ -56,7 +56,7 @@ class MuntheKaas:
         stages = 1 if method.implicit else len(method.tableau.b)
         # A step without error control may be too long for a branch that goes on beyond its end: only jumps count.
         laws = layout.model.forces.laws
-        jumps = np.count_nonzero(laws.compared) if options.get("locates", False) else 0
+        jumps = np.count_nonzero(laws.compared > 0) if options.get("locates", False) else 0
         located = len(laws.kinks) if method.controlled else int(jumps)
         self._model, self._work, self.work = model_and_work(layout, group, options, stages, located)
         self._blocks = stages + 1 + FURTHER
@@ -69,7 +69,7 @@ class MuntheKaas:
         self._passage = SameTypes(passage)
         self.switching = None
         if len(self._work.guards):
-            steps = self._pass, self._step, self._control, self._lead
+            steps = self._pass, self._step, self._control, lambda: self._methods[self.chosen][0].weights, self._lead
             self.switching = Switching(self._model, self._work, *steps, layout.touching)
         self.restart()
 

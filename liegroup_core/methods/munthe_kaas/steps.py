@@ -184,6 +184,12 @@ def watches(model, work):
 
 
 @kernel
+def notes(work):
+    """Whether the guards of the stages are kept in Work.course."""
+    return work.watch[WATCHED] != 0.0
+
+
+@kernel
 def note_stage(model, work, scheme, stage):
     """Save the guards of held switches; at the end of a substep set those of all switches."""
     note_guards(model, work, scheme.rows[stage])
