@@ -7,6 +7,10 @@ before it that of its first surface: those of a table are its argument = x of a 
 >= min max abs have 1 plus that of their surface a = b, negative with b and a exchanged. The others replace their
 operands on top of the stack by their result; a condition is 1 or 0, or a share between them where the motion slides
 along a surface.
+
+A value is computed when it is first read, and of `x if c else y`, `c and x`, `c or x` only what c selects, so that a
+contact in the air costs its depth: CALL reads a value that a formula gives, BRANCH UNLESS BOTH EITHER have the place of
+the instruction where evaluation goes on after what is not needed.
 """
 
 import ast
@@ -16,7 +20,8 @@ import numpy as np
 
 from liegroup_core.compiling import kernel, subroutine
 
-LOAD, STORE, PUSH, TABLE, CHOOSE, KNOTS = 0, 1, 2, 3, 4, 5
+LOAD, STORE, PUSH, TABLE, CHOOSE, KNOTS, CALL, BRANCH, UNLESS, BOTH = range(10)
+EITHER = 29
 _UNARY = {ast.USub: 10, ast.Not: 11, "sin": 12, "cos": 13, "tan": 14, "asin": 15, "acos": 16, "atan": 17}
 _UNARY |= {"exp": 18, "log": 19, "sqrt": 20, "tanh": 21, "abs": 22}
 _BINARY = {ast.Add: 30, ast.Sub: 31, ast.Mult: 32, ast.Div: 33, ast.Pow: 34, "atan2": 35, "min": 36, "max": 37}
@@ -28,12 +33,12 @@ class Postfix:
     """Instructions of formulas, one after another.
 
     code : [(operation, argument)];  numbers : [float];  tables : [(k, 2) x, y];  deepest : largest size of the stack
-    surfaces : {operands a, b, or place in the code: number}
+    surfaces : {operands a, b, or place in the code: number};  begins : {number of a value: place of its formula}
     """
 
     def __init__(self):
         self.code, self.numbers, self.tables, self.deepest, self._size = [], [], [], 0, 0
-        self.surfaces, self._conditions = {}, set()
+        self.surfaces, self.begins, self._conditions, self._needs = {}, {}, set(), {}
 
     def add(self, text, names, tables, to):
         """Append a formula whose result is value number `to`.
@@ -41,11 +46,14 @@ class Postfix:
         names : {name: number of a value, or a float};  tables : {name: number of a table}
         """
         self._names, self._tables = _NUMBERS | names, tables
-        node = ast.parse(text, mode="eval").body
+        node, self._most = ast.parse(text, mode="eval").body, 0
+        begin = len(self.code)
         self._walk(node)
         if self._is_condition(node):
             self._conditions.add(to)
         self._do(STORE, to, 1, 0)
+        self.begins[to], self._needs[to] = begin, self._most
+        self.deepest = max(self.deepest, self._most)
 
     def _is_condition(self, node):
         if isinstance(node, ast.Name):
@@ -83,8 +91,18 @@ class Postfix:
 
     def _do(self, operation, argument, takes, gives=1):
         self.code.append((operation, argument))
+        needs = self._needs[argument] if operation == CALL else 0
         self._size += gives - takes
-        self.deepest = max(self.deepest, self._size)
+        self._most = max(self._most, self._size + needs)
+
+    def _skip(self, operation):
+        """Append an instruction whose place `_land` sets; returns its own place."""
+        self._do(operation, 0, 0, 0)
+        return len(self.code) - 1
+
+    def _land(self, place):
+        """Let the instruction at a place go on with the next one."""
+        self.code[place] = self.code[place][0], len(self.code)
 
     def _push(self, number):
         self.numbers.append(float(number))
@@ -98,7 +116,7 @@ class Postfix:
             if isinstance(known, float):
                 self._push(known)
             else:
-                self._do(LOAD, known, 0)
+                self._do(CALL if known in self.begins else LOAD, known, 0)
         elif isinstance(node, ast.UnaryOp):
             (self._condition if isinstance(node.op, ast.Not) else self._walk)(node.operand)
             if not isinstance(node.op, ast.UAdd):
@@ -108,8 +126,10 @@ class Postfix:
         elif isinstance(node, ast.BoolOp):
             self._condition(node.values[0])
             for other in node.values[1:]:
+                place = self._skip(BOTH if isinstance(node.op, ast.And) else EITHER)
                 self._condition(other)
                 self._do(_BINARY[type(node.op)], 0, 2)
+                self._land(place)
         elif isinstance(node, ast.Compare):
             values = node.left, *node.comparators
             for k, op in enumerate(node.ops):
@@ -119,10 +139,14 @@ class Postfix:
                 if k > 0:
                     self._do(_BINARY[ast.And], 0, 2)
         elif isinstance(node, ast.IfExp):
-            self._walk(node.body)
-            self._walk(node.orelse)
             self._condition(node.test)
+            branch = self._skip(BRANCH)
+            self._walk(node.body)
+            unless = self._skip(UNLESS)
+            self._land(branch)
+            self._walk(node.orelse)
             self._do(CHOOSE, 0, 3)
+            self._land(unless)
         else:
             self._call(node.func.id, node.args)
 
@@ -207,43 +231,69 @@ def _binary(operation, a, b):
 
 
 @subroutine
-def evaluate(code, numbers, first, points, stack, values, sides, heights):
-    """Execute instructions (p, 2) on values (m,); the points of table k are points[first[k]:first[k + 1]].
+def evaluate(code, begins, needed, numbers, first, points, stack, values, sides, heights):
+    """Compute needed values of (m,) by instructions (p, 2); the points of table k are points[first[k]:first[k + 1]].
 
+    begins  : (m,) place of the formula of a value, or -1: it is given
     sides   : (c,) shares of a < b of all surfaces; infinite: a and b decide
-    heights : (c,) a - b, written
+    heights : (c,) a - b, written; NaN where nothing needs it
     """
-    top = -1
-    for i in range(len(code)):
-        operation, argument = code[i, 0], code[i, 1]
-        if operation == LOAD or operation == PUSH:
-            top += 1
-            stack[top] = values[argument] if operation == LOAD else numbers[argument]
-        elif operation == STORE:
-            values[argument] = stack[top]
-            top -= 1
-        elif operation == TABLE:
-            stack[top] = _interpolated(first, points, argument, stack[top])
-        elif operation == KNOTS:
-            number = code[i + 1, 1]
-            for j in range(first[number + 1] - first[number]):
-                heights[argument + j] = stack[top] - points[first[number] + j, 0]
-        elif operation == CHOOSE:
-            top -= 2
-            share = stack[top + 2]
-            if share == 0.0:
-                stack[top] = stack[top + 1]
-            elif share != 1.0:
-                stack[top] = share * stack[top] + (1.0 - share) * stack[top + 1]
-        elif operation < 30:
-            if operation == 22:
-                heights[argument - 1] = stack[top]
-            stack[top] = _unary(operation, stack[top])
-        else:
-            top -= 1
-            a, b, k = stack[top], stack[top + 1], abs(argument) - 1
-            stack[top] = _binary(operation, a, b)
-            if k >= 0:
-                heights[k] = a - b if argument > 0 else b - a
-                if operation > 37 and sides[k] < np.inf:
-                    stack[top] = sides[k] if (argument > 0) == (operation < 40) else 1.0 - sides[k]
+    top, known, back = -1, np.zeros(len(values)), np.zeros(len(values), dtype=np.int64)
+    heights[:] = np.nan
+    for number in needed:
+        i, depth = begins[number], 0
+        while known[number] == 0.0:
+            operation, argument = code[i, 0], code[i, 1]
+            i += 1
+            if operation >= 30:
+                top -= 1
+                a, b, k = stack[top], stack[top + 1], abs(argument) - 1
+                stack[top] = _binary(operation, a, b)
+                if k >= 0:
+                    heights[k] = a - b if argument > 0 else b - a
+                    if sides[k] < np.inf:
+                        share = sides[k] if argument > 0 else 1.0 - sides[k]  # of a < b here
+                        if operation > 37:
+                            stack[top] = share if operation < 40 else 1.0 - share
+                        elif share == 0.0 or share == 1.0:
+                            stack[top] = a if (share == 1.0) == (operation == 36) else b
+            elif operation == CALL and known[argument] == 0.0:
+                back[depth], i = i - 1, begins[argument]
+                depth += 1
+            elif operation == LOAD or operation == PUSH or operation == CALL:
+                top += 1
+                stack[top] = numbers[argument] if operation == PUSH else values[argument]
+            elif operation == STORE:
+                values[argument], known[argument] = stack[top], 1.0
+                top -= 1
+                if depth > 0:
+                    depth -= 1
+                    i = back[depth]
+            elif operation == BRANCH:
+                if stack[top] == 0.0:
+                    top += 1
+                    stack[top], i = 0.0, argument
+            elif operation == UNLESS:
+                if stack[top - 1] == 1.0:
+                    top -= 1
+                    stack[top], i = stack[top + 1], argument
+            elif operation == BOTH or operation == EITHER:
+                if stack[top] == (0.0 if operation == BOTH else 1.0):
+                    i = argument
+            elif operation == TABLE:
+                stack[top] = _interpolated(first, points, argument, stack[top])
+            elif operation == KNOTS:
+                table = code[i, 1]
+                for j in range(first[table + 1] - first[table]):
+                    heights[argument + j] = stack[top] - points[first[table] + j, 0]
+            elif operation == CHOOSE:
+                top -= 2
+                share = stack[top]
+                stack[top] = stack[top + 2] if share == 0.0 else share * stack[top + 1] + (1.0 - share) * stack[top + 2]
+            else:
+                a = stack[top]
+                stack[top] = _unary(operation, a)
+                if operation == 22:
+                    heights[argument - 1] = a
+                    if sides[argument - 1] < np.inf:
+                        stack[top] = (1.0 - 2.0 * sides[argument - 1]) * a

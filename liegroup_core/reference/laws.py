@@ -48,6 +48,8 @@ class LawLoads(NamedTuple):
     read_at: np.ndarray
     read_angle: np.ndarray  # (i,) index of the integrated angle, or -1
     code: np.ndarray  # (p, 2) instructions
+    begins: np.ndarray  # (m,) and (v,) numbers of values: see formulas.evaluate
+    needed: np.ndarray
     numbers: np.ndarray
     first: np.ndarray  # (t + 1,) first points of the tables
     points: np.ndarray  # (q, 2) their points
@@ -101,7 +103,7 @@ def build_laws(scene, index, joints, frames, angles, servos):
 
     returns (LawLoads, [PeriodicLaw])
     """
-    continuous, count, signals, states = Postfix(), 1, {}, []
+    continuous, count, signals, states, effects = Postfix(), 1, {}, [], []
     own_reads, acts, acts_at, held_to, held, sampled = ([], [], []), [], [], [], [], []
 
     def geometry(name):
@@ -203,6 +205,7 @@ def build_laws(scene, index, joints, frames, angles, servos):
         if law.period is None:
             for text, number in outputs:
                 program.add(text, names, tables, number)
+            effects += [number for _, number in outputs]
             continue
         # Others read held values; what is computed at an instant has values of its own.
         found = [names[name] + 1 for name in law.states] + [names[name] for name in law.signals]
@@ -222,8 +225,9 @@ def build_laws(scene, index, joints, frames, angles, servos):
         reads = read, read_at, read_angle
         sampled.append(PeriodicLaw(*times, reads, program, found, first, len(outputs), waiting, noisy))
     programs = continuous, *(each.program for each in sampled)
+    needed = continuous.begins if sampled else effects + [rate for _, rate in states]
     loads = LawLoads(
-        **_program(own_reads, continuous),
+        **_program(own_reads, continuous, count, needed),
         acts=np.array(acts, dtype=int).reshape(-1, 4),
         acts_at=np.array(acts_at, dtype=float).reshape(-1, 10),
         held_to=np.array(held_to, dtype=int),
@@ -235,14 +239,18 @@ def build_laws(scene, index, joints, frames, angles, servos):
     return loads, sampled
 
 
-def _program(reads, program):
-    """Entries of LawLoads of inputs (read, read_at, read_angle) and a Postfix."""
+def _program(reads, program, count, needed):
+    """Entries of LawLoads of inputs (read, read_at, read_angle) and a Postfix; count : of all values."""
     read, read_at, read_angle = reads
+    begins = np.full(count, -1)
+    begins[list(program.begins)] = list(program.begins.values())
     return {
         "read": np.array(read, dtype=int).reshape(-1, 4),
         "read_at": np.array(read_at, dtype=float).reshape(-1, 10),
         "read_angle": np.array(read_angle, dtype=int),
         "code": np.array(program.code, dtype=int).reshape(-1, 2),
+        "begins": begins,
+        "needed": np.array(list(needed), dtype=int),
         "numbers": np.array(program.numbers, dtype=float),
         "first": np.cumsum([0, *map(len, program.tables)]),
         "points": np.concatenate([np.empty((0, 2)), *program.tables]),
@@ -250,38 +258,32 @@ def _program(reads, program):
 
 
 @kernel
-def _input(laws, i, state, frame, angle):
+def _input(read, read_at, read_angle, i, state, frame, angle):
     """Value of an input."""
-    what, a, b, at = laws.read[i, 0], laws.read[i, 2], laws.read[i, 3], three(laws.read_at, i, 0)
-    last = laws.read_at[i, 9]
+    what, a, b, at = read[i, 0], read[i, 2], read[i, 3], three(read_at, i, 0)
+    last = read_at[i, 9]
     if what == ANGLE:
-        value = angle[laws.read_angle[i]]
+        value = angle[read_angle[i]]
         return np.floor(value / last) * last if last > 0.0 else value
     if what == RATE:
         return dot(turned(frame, a, at), turning(frame, a, b))
     if what <= SLIDE_RATE:
-        _, _, value, rate = slide(frame, a, b, at, three(laws.read_at, i, 3), three(laws.read_at, i, 6))
+        _, _, value, rate = slide(frame, a, b, at, three(read_at, i, 3), three(read_at, i, 6))
         value = np.floor(value / last) * last if last > 0.0 else value
         return value if what == SLIDE else rate
-    if what == PLACE or what == PLACE_RATE:
-        return point(frame, a, at)[what - PLACE][b]
-    if what == WORLD_SPIN:
-        return turned(frame, a, three(state, a, 10))[b]
-    if what == DIRECTION:
-        return turned(frame, a, at)[b]
     if what == ATTITUDE:
         w, x, y, z = state[a, 0], state[a, 1], state[a, 2], state[a, 3]
         length = np.sqrt(w * w + x * x + y * y + z * z)
-        r, own = laws.read_at[i, 0], three(laws.read_at, i, 1)
+        r, own = read_at[i, 0], three(read_at, i, 1)
         scalar = w * r - dot((x, y, z), own)
         found = plus(plus(cross((x, y, z), own), w, own), r, (x, y, z))
         part = scalar if b == 3 else found[b % 3]
         return part / (length if scalar >= 0.0 else -length)
     if what == SPIN:
-        return last + dot(three(laws.read_at, i, 3), three(state, a, 10))
+        return last + dot(three(read_at, i, 3), three(state, a, 10))
     if what == SPEED:
-        return last + dot(three(laws.read_at, i, 3), turned_back(frame, a, point(frame, a, at)[1]))
-    begin, end = point(frame, a, at), point(frame, b, three(laws.read_at, i, 3))
+        return last + dot(three(read_at, i, 3), turned_back(frame, a, point(frame, a, at)[1]))
+    begin, end = point(frame, a, at), point(frame, b, three(read_at, i, 3))
     apart = plus(end[0], -1.0, begin[0])
     length = np.sqrt(dot(apart, apart))
     return length if what == APART else dot(apart, plus(end[1], -1.0, begin[1])) / length
@@ -290,8 +292,20 @@ def _input(laws, i, state, frame, angle):
 @subroutine
 def _read(laws, state, frame, angle, values):
     """Write the inputs of laws."""
-    for i in range(len(laws.read)):
-        values[laws.read[i, 1]] = _input(laws, i, state, frame, angle)
+    read, read_at, read_angle = laws.read, laws.read_at, laws.read_angle
+    for i in range(len(read)):
+        what, number, a, b = read[i, 0], read[i, 1], read[i, 2], read[i, 3]
+        if what < PLACE or what > DIRECTION:
+            values[number] = _input(read, read_at, read_angle, i, state, frame, angle)
+        elif what == WORLD_SPIN:
+            values[number] = frame[a, 15 + b]
+        elif what == DIRECTION:
+            values[number] = dot(three(frame, a, 3 * b), three(read_at, i, 0))
+        elif what == PLACE:
+            values[number] = frame[a, 9 + b] + dot(three(frame, a, 3 * b), three(read_at, i, 0))
+        else:
+            arm = turned(frame, a, three(read_at, i, 0))
+            values[number] = frame[a, 12 + b] + cross(three(frame, a, 15), arm)[b]
 
 
 @subroutine
@@ -308,7 +322,7 @@ def set_values(laws, time, state, frame, angle, stack, values, sides, heights):
     for s in range(len(laws.states)):
         values[laws.states[s, 0]] = angle[first + s]
     _read(laws, state, frame, angle, values)
-    evaluate(laws.code, laws.numbers, laws.first, laws.points, stack, values, sides, heights)
+    evaluate(laws.code, laws.begins, laws.needed, laws.numbers, laws.first, laws.points, stack, values, sides, heights)
 
 
 @subroutine
@@ -335,7 +349,8 @@ class HeldValues:
     def __init__(self, loads, laws, bodies):
         self.loads = loads._replace(held=loads.held.copy())
         self._laws, self._bodies = laws, bodies
-        self._own = [loads._replace(**_program(law.read, law.program)) for law in laws]
+        sizes = [(loads.sizes[0], law.program.begins) for law in laws]
+        self._own = [loads._replace(**_program(law.read, law.program, *size)) for law, size in zip(laws, sizes)]
 
     def _next(self, law, first, after):
         """Time in ns of a law's next instant after one, from `first` s on; -1: also the first."""
@@ -380,7 +395,8 @@ class HeldValues:
                 for number, sensor, k in law.noisy:
                     values[number] += sensor.noise_at(now)[k]
                 free = np.full(len(law.program.surfaces), FREE)
-                evaluate(own.code, own.numbers, own.first, own.points, stack, values, free, np.empty_like(free))
+                program = own.code, own.begins, own.needed, own.numbers, own.first, own.points
+                evaluate(*program, stack, values, free, np.empty_like(free))
                 found = values[law.found]
                 shown = len(found) - law.outputs
                 held[law.first : law.first + shown] = found[:shown]

@@ -16,6 +16,7 @@ NEAR, SHIFT = 1e-6, 0.1  # differences: of the time, relative to that of the mot
 ROUND_OFF = 64.0 * np.finfo(float).eps  # of heights, relative to the largest number of a state
 SOON = 1e-9  # s, within which a surface is reached where no step is possible
 GRID = np.linspace(0.0, 1.0, 101)  # of a step, where the first share beyond 0 and 1 is sought
+TOGETHER = 1e-13  # of a step, between changes that are one
 MOST_IDLE = 20  # changes of sides without a step
 
 
@@ -24,13 +25,15 @@ class Surfaces:
 
     sides   : (c,) FREE, or share of a < b; 0 and 1 also hold the side to which the motion has left a surface
     slides  : (c,) whether the motion slides along a = b
-    heights : (c,) a - b at the present state
+    heights : (c,) a - b at the present state, NaN where nothing needs it
     """
 
     def __init__(self, count, nodes, matrix):
         self.sides, self.slides, self.heights = np.full(count, FREE), np.zeros(count, bool), np.zeros(count)
         self._inverse, self._idle, self._leaves, self._noise = np.linalg.inv(matrix), 0, None, 0.0
         self._polynomial = np.linalg.inv(legendre.legvander(2.0 * nodes - 1.0, len(nodes) - 1))
+        self._through = np.linalg.inv(legendre.legvander(np.r_[-1.0, 2.0 * nodes - 1.0], len(nodes)))
+        self._grid = legendre.legvander(2.0 * GRID - 1.0, len(nodes))
         self._values = legendre.legvander(2.0 * GRID - 1.0, len(nodes) - 1)
 
     def _climb(self, function, time, state, scale, sides):
@@ -58,7 +61,7 @@ class Surfaces:
     def correct(self, sides, slopes, heights, step):
         """Newton's step for the sides (s, c) and slopes (s, N) at the nodes of a step, where the heights are (s, c)."""
         if self.slides.any():
-            off = heights[:, self.slides] - self.heights[self.slides]
+            off = np.nan_to_num(heights[:, self.slides] - self.heights[self.slides])
             change = self._inverse @ off @ self._shares / step
             sides[:, self.slides] -= change
             slopes -= change @ self._effects
@@ -94,6 +97,37 @@ class Surfaces:
         before, after = values[i, k], values[i + 1, k]
         return np.sort(GRID[i] + before / (before - after) * np.diff(GRID)[i])
 
+    def kept(self, heights, before):
+        """Sides (c,) a step keeps: `before` where given, else of the heights (c,) at its start; None if it slides."""
+        if self.slides.any():
+            return None
+        free, sure = self.sides == FREE, np.abs(heights) > self._least
+        found = np.where(sure, np.where(heights < 0.0, 1.0, 0.0), FREE)
+        return np.where(free, np.where(before == FREE, found, before), self.sides)
+
+    def first_change(self, kept, start, heights):
+        """(part, numbers) of the first change of heights whose sides are kept; part 1: there is none.
+
+        start, heights : (c,) at the start and (s, c) at the nodes of a step with the sides `kept` (c,)
+        """
+        sure = np.flatnonzero((self.sides == FREE) & (kept != FREE))
+        above = np.where(kept[sure] == 1.0, -1.0, 1.0)
+        coefficients = self._through @ (above * np.vstack([start[sure], heights[:, sure]]))
+        beyond = self._grid @ coefficients < 0.0
+        first, numbers = 1.0, []
+        for i in np.flatnonzero(beyond[1:].any(axis=1))[:1]:
+            for k in np.flatnonzero(beyond[i + 1]):
+
+                def height(u, own=coefficients[:, k]):
+                    return legendre.legval(2.0 * u - 1.0, own)
+
+                part = GRID[i] if height(GRID[i]) <= 0.0 else brentq(height, GRID[i], GRID[i + 1], xtol=1e-16)
+                if part < first - TOGETHER:
+                    numbers = []
+                if part < first + TOGETHER:
+                    first, numbers = min(first, part), [*numbers, int(sure[k])]
+        return first, numbers
+
     def sides_at(self, x, sides):
         """Sides (p, c) at points x on [-1, 1] of a step with the sides (s, c) at its nodes."""
         found = np.tile(self.sides, (len(x), 1))
@@ -123,10 +157,12 @@ class Surfaces:
         met = ~slides & ~held
         if moves:
             ends, heights = solver.sides[-1], solver.heights[-1]
-            met &= np.sign(heights) != np.sign(self.heights)
+            met &= (np.sign(heights) != np.sign(self.heights)) & ~np.isnan(heights) & ~np.isnan(self.heights)
             self.sides[held & (self._above(heights) > 2.0 * np.abs(self.heights))] = FREE
             self.sides[slides], self._idle = ends[slides], 0
             self.heights = np.where(slides, self.heights, heights)
+            for k in np.flatnonzero(slides & np.isnan(heights)):
+                self._leave(k, FREE)
             for k in np.flatnonzero(slides & (np.abs(self.sides - 0.5) >= 0.5 - SAME) & (self._noise < SAME)):
                 self._leave(k, float(self.sides[k] > 0.5))
         elif self._leaves is not None:

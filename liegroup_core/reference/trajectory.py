@@ -21,9 +21,11 @@ from .rigid_body_dae import STATE, chosen_rows, rates, unit_rows
 from .system import build_system, with_targets
 
 # Tolerance of the error inside a step, relative to the characteristic length and in rad. The uncertainty of a run is
-# its distance to a run with a tolerance LOOSER times larger, whose steps are about a third longer.
+# its distance to a run with a tolerance LOOSER times larger, whose steps are about a third longer, and round-off.
 TIGHT = 1e-13
 LOOSER = 50.0
+# Part of each number that both lose, because their steps end where laws change. It is added to the uncertainty.
+ROUND_OFF = 64.0 * np.finfo(float).eps
 # The integration ends where its uncertainty exceeds this, relative to the characteristic length or in rad: a
 # hundredth of the default accuracy of a run.
 UNCERTAIN = 1e-6
@@ -32,7 +34,9 @@ MOST_STEPS = 2_000_000
 # steps: the motion is unrealistically fast.
 LOOKS, HOPELESS = 500, 1_000_000
 SLOWEST = 0.1  # 1/s, rate of a motion that is as good as at rest
-CHUNK = 64  # times between two comparisons of the two runs
+# Steps and times between two comparisons of the two runs, after which the motion may be found to be unknown, and steps
+# between two reports of progress.
+FEW_STEPS, MOST_TIMES, TOLD = 100, 64, 10
 # Bounds of the singular values of the unit rows of all joints. At the start, values below REDUNDANT
 # belong to redundant rows (the pose is accurate to 1e-9 or better). Ten rods on revolute joints have
 # 1e-2. At a singular pose the value of an independent row falls below SINGULAR, or redundant rows have a gap
@@ -185,26 +189,31 @@ class Reference:
     def up_to_limit(self, times, tell=lambda time: None):
         """As `at`, for the times that can be reached; calls `tell` with a time that has been reached, now and then."""
         times, parts = np.asarray(times, dtype=float), []
-        for i in range(0, max(len(times), 1), CHUNK):
-            parts.append(self._compared(times[i : i + CHUNK]))
-            tell(self._runs[0].reached)
+        done, count = 0, 1
+        while done < len(times) or not parts:
+            before = self.steps
+            parts.append(self._compared(times[done : done + count], tell))
+            done += count
+            count = min(2 * count, MOST_TIMES) if self.steps - before < FEW_STEPS else max(count // 2, 1)
         trajectories, uncertainties = zip(*parts)
         return (
             Trajectory(*map(np.concatenate, zip(*trajectories))),
             Distance(*map(np.concatenate, zip(*uncertainties))),
         )
 
-    def _compared(self, times):
+    def _compared(self, times, tell):
         """As `up_to_limit`, for few times."""
         times, states = times if self.stopped is None else times[:0], []
         for run in self._runs:
-            states.append(run.at(times))
+            states.append(run.at(times, tell))
+            tell = None
             times = times[: len(states[-1])]
             self.stopped = self.stopped or run.stopped
         tight, loose = (
             _at_bodies(self._offsets, _to_trajectory(times, part[: len(times)], self._shape)) for part in states
         )
-        largest = Distance(*(np.maximum.accumulate(part, axis=0) for part in distance(tight, loose)))
+        apart = map(np.add, distance(tight, loose), _round_off(tight, self._length))
+        largest = Distance(*(np.maximum.accumulate(part, axis=0) for part in apart))
         if self._largest is not None:
             largest = Distance(*map(np.maximum, largest, self._largest))
         unknown = np.maximum(largest.position / self._length, largest.angle).max(axis=1, initial=0.0) > UNCERTAIN
@@ -218,6 +227,13 @@ class Reference:
         if len(tight.times):
             self._largest = Distance(*(part[-1] for part in largest))
         return tight, largest
+
+
+def _round_off(motion, length):
+    """Distance (k, n) of two trajectories that are equal up to round-off;  length : characteristic length, m."""
+    speed, spin = (np.linalg.norm(part, axis=2) for part in (motion.twist[..., 3:], motion.twist[..., :3]))
+    turn, position = np.ones_like(spin), length + np.linalg.norm(motion.position, axis=2)
+    return Distance(*(ROUND_OFF * part for part in (position, turn, turn, spin, speed)))
 
 
 def _pieces(scene, system, offsets, changes, start, end):
@@ -341,8 +357,8 @@ class _Run:
         self._start = self._seen = start
         self._is_useful = False  # a later time than the start has been reached
 
-    def at(self, times):
-        """States (k, 13 n + t) at increasing times (k,), or at those that can be reached."""
+    def at(self, times, tell=None):
+        """States (k, 13 n + t) at increasing times (k,), or at those that can be reached; see up_to_limit."""
         out = np.empty((len(times), len(self._state)))
         done = 0
         while True:
@@ -353,6 +369,8 @@ class _Run:
                 self._is_useful |= bool(times[done - 1] > self._start)
             if done == len(times) or self.stopped:
                 return out[:done]
+            if tell is not None and self.steps_taken % TOLD == 0:
+                tell(self.reached)
             if self.steps_taken == self._most_steps:
                 self.stopped = f"the reference integration reached its limit of steps, {self._most_steps}"
             elif not self._is_useful and self.steps_taken and self.steps_taken % LOOKS == 0:
@@ -436,7 +454,7 @@ class _Run:
             self._chosen, self._rank = _independent(system, unit_rows(system, self._state, self._given(begin))[0])
             self._pivot_of_choice = None
             self._solver = CollocationSteps(
-                function, self._scales, begin, self._state, self._rtol, int(system.laws.sizes[2])
+                function, self._scales, begin, self._state, self._rtol, int(system.laws.sizes[2]), self._halves
             )
             self._solver.surfaces.start(self._solver)
         self._function = self._solver.function = function

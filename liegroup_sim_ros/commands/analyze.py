@@ -5,6 +5,7 @@ One recording is reported in full, several in one line each.
 """
 
 import sys
+import time
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
@@ -25,6 +26,7 @@ from liegroup_sim_ros.report.terminal import print_comparison, print_overview, p
 from .arguments import count, not_negative
 
 EXIT_EXCEEDED = 1
+NOTICE = 10.0  # s of the reference integration, after which a line tells how far it is
 
 
 class AnalysisError(LieGroupSimError):
@@ -104,6 +106,20 @@ def add_arguments(parser):
     parser.add_argument("--scheduler", metavar="ADDRESS", help="scheduler of a Dask cluster, such as tls://host:8786")
 
 
+class _Notice:
+    """One line of progress on stderr, if it is no terminal and the reference integration takes long."""
+
+    def __init__(self, console):
+        self._begin, self._is_due = None, not console.is_terminal
+
+    def __call__(self, text):
+        now = time.monotonic()
+        self._begin = self._begin or now
+        if self._is_due and now - self._begin > NOTICE:
+            self._is_due = False
+            print(f"liegroup_sim: {text} after {NOTICE:g} s; --reference-seconds ends it earlier", file=sys.stderr)
+
+
 def _shapes(file, analysis):
     """Triangles of the bodies of an Analysis, from a robot file; None without a file. Prints remarks."""
     if file is None:
@@ -137,15 +153,16 @@ def run(args):
         console = Console(stderr=True)
         columns = TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn()
         with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as bar:
-            task = bar.add_task("reading", total=None)
+            task, notice = bar.add_task("reading", total=None), _Notice(console)
+
+            def covered(seconds, total):
+                text = f"reference: {seconds:.3g} of {total:.3g} s"
+                bar.update(task, description=text, completed=seconds, total=total)
+                notice(text)
+
             recording = read_recording(logs[0])
             analysis = analyse(
-                recording,
-                tell=lambda text: bar.update(task, description=text),
-                covered=lambda seconds, total: bar.update(
-                    task, description=f"reference: {seconds:.3g} of {total:.3g} s", completed=seconds, total=total
-                ),
-                **options,
+                recording, tell=lambda text: bar.update(task, description=text), covered=covered, **options
             )
             if args.compare:
                 bar.update(task, description="comparing")

@@ -138,8 +138,25 @@ def by_reference(text, values):
     code, numbers = np.array(program.code), np.array(program.numbers, dtype=float)
     found, stack = np.array([*values, 0.0]), np.empty(program.deepest)
     free = np.full(len(program.surfaces), np.inf)
-    by_stack(code, numbers, np.array([0, len(TABLE[0])]), np.transpose(TABLE), stack, found, free, free.copy())
+    program = code, np.array([-1, -1, -1, 0]), np.array([3]), numbers, np.array([0, len(TABLE[0])]), np.transpose(TABLE)
+    by_stack(*program, stack, found, free, free.copy())
     return found[-1]
+
+
+def test_the_reference_computes_what_is_needed_only():
+    """A number that nothing selects is not computed, and heights of its comparisons are NaN; others are a - b."""
+    program, found = Postfix(), np.array([-1.0, np.nan, np.nan, np.nan])
+    program.add("max(x, 3)/0", {"x": 0}, {}, 1)
+    program.add("y if x > 0 and y < 1 else x - 2", {"x": 0, "y": 1}, {}, 2)
+    program.add("z", {"z": 2}, {}, 3)
+    begins = np.array([program.begins.get(k, -1) for k in range(4)])
+    free, heights = np.full(len(program.surfaces), np.inf), np.zeros(len(program.surfaces))
+    tables, stack = (np.array([0]), np.empty((0, 2))), np.empty(program.deepest)
+    by_stack(
+        np.array(program.code), begins, np.array([3]), np.array(program.numbers), *tables, stack, found, free, heights
+    )
+    assert found[2] == found[3] == -3.0 and np.isnan(found[1])
+    assert sorted(heights[~np.isnan(heights)]) == [1.0] and np.isnan(heights).sum() == 2
 
 
 def test_random_formulas_and_their_derivatives_have_all_digits():

@@ -4,6 +4,7 @@
 import functools
 import json
 import math
+import re
 import subprocess
 import sys
 import threading
@@ -30,6 +31,7 @@ from liegroup_sim_ros.analysis.comparison import compare
 from liegroup_sim_ros.analysis.drift import Drift, thinned
 from liegroup_sim_ros.analysis.estimate import Estimate
 from liegroup_sim_ros.analysis.promise import Promise
+from liegroup_sim_ros.commands import analyze
 from liegroup_sim_ros.commands.main import main
 from liegroup_sim_ros.numbers import error_text
 from liegroup_sim_ros.recording import read, write_run
@@ -232,8 +234,9 @@ def test_a_violated_or_unjudged_limit_fails_the_command(logs, tmp_path, capsys, 
     assert "no dask scheduler" in capsys.readouterr().err
 
 
-def test_the_steps_of_the_reference_are_limited(tmp_path, capsys):
-    """The error is known up to there. The limit is that of all stretches together."""
+def test_the_steps_of_the_reference_are_limited(tmp_path, capsys, monkeypatch):
+    """The error is known up to there. The limit is that of all stretches together. One line tells of long ones."""
+    monkeypatch.setattr(analyze, "NOTICE", -1.0)
     one, two = (
         record(tmp_path / f"{len(resets)}.mcap", scene_from_text(PAIR), steps, resets=resets)
         for steps, resets in ((100, ()), (200, (100,)))
@@ -249,6 +252,7 @@ def test_the_steps_of_the_reference_are_limited(tmp_path, capsys):
     assert 0.0 < short["seconds"] < 0.2 and 0.0 < short["position"]["max"] < 1.0
     said = f"the error is known up to {short['seconds']:.3g} s only: the reference integration reached its limit of 3"
     assert short["stopped"].startswith(said) and short["stopped"] in err
+    assert len(re.findall(r"^liegroup_sim: reference: \d\S* of 0.2\S* s after -1 s; ", err, re.MULTILINE)) == 1
     assert said in " ".join(out.split())
     enough = next(2**k for k in range(2, 12) if analyse_to(one, 2**k)["stopped"] is None)
     assert reference(one, enough, 0)["seconds"] == pytest.approx(0.2)

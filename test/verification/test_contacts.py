@@ -17,6 +17,7 @@ from liegroup_core.engine import Engine
 from liegroup_core.forces.contact import SHORT, damping_of
 from liegroup_core.lie.groups import SO3
 from liegroup_core.linear import TrimError, linearise, modes_of, sensitivities, trim
+from liegroup_core.reference import Reference
 from liegroup_core.reports import explain
 from liegroup_core.scene.load import scene_from_text
 from liegroup_core.status import NOT_FINITE
@@ -972,3 +973,27 @@ def test_without_gravity_friction_is_as_stiff_as_the_normal_force():
     """Its load is that at which both yield alike, and its damping is critical: tau = sqrt(m / k)."""
     (floor,) = ball("stiffness: 1e5, damping: 0, friction: 0.2, slip: 1e-5", gravity=0.0).forces
     assert floor.numbers["settles"] == pytest.approx(math.sqrt(2.0 / 1e5), rel=1e-12)
+
+
+def test_steps_of_the_reference_end_where_contacts_change():
+    """Its error is that of smooth motions, and each of the changes that the engine finds costs it a few steps.
+
+    A change takes two steps up to it, and at most four of double length from there to those of the free motion. A step
+    with a change inside would have to be repeated 40 times, in halves, until the tolerance hides the change.
+    """
+    scene = scene_from_text(
+        """
+name: skid
+gravity: [0, 0, -9.81]
+bodies:
+  - {name: ball, shape: {type: sphere, radius: 0.1, mass: 2}, position: [0, 0, 0.3], linear_velocity: [1, 0, 0]}
+forces:
+  - {name: floor, type: contact, body: ball, sinks: 1.0e-4, restitution: 0.5, friction: 0.3}
+"""
+    )
+    simulation = Simulation(scene, accuracy=1e-6, quiet=True)
+    reference = Reference(scene, *simulation.state()[:2])
+    _, uncertainty = reference.up_to_limit(np.array([1.0]))
+    simulation.advance_to(1.0)
+    changes = len(simulation.drain_events())
+    assert 20 < changes and reference.steps < 12 * changes and uncertainty.position[0, 0] < 1e-12
