@@ -10,6 +10,7 @@ import math
 import sys
 import textwrap
 import time
+from collections import Counter
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from liegroup_core import Simulation, SimulationError
 from liegroup_core.control import read_setup, set_up
 from liegroup_core.errors import LieGroupSimError
 from liegroup_core.forces.instants import LATEST
+from liegroup_core.methods.table import METHODS
 from liegroup_core.observables.quantities import GROUPS
 from liegroup_core.settings import SETTINGS
 from liegroup_core.simulation import default_steps
@@ -230,10 +232,19 @@ def _run(args):
 
 
 def _events_of(simulation):
-    """Text with the number of events at joints with stops or friction."""
-    if not simulation.layout.switches:
-        return ""
-    return f", {counted(simulation.event_count, 'event')} at joints"
+    """Text with the numbers of events at joints with stops or friction, and of contacts."""
+    contacts, found = simulation.layout.touching.names, ""
+    if simulation.layout.switches:
+        found = f", {counted(simulation.event_count, 'event')} at joints"
+    if not contacts:
+        return found
+    if not METHODS[simulation.method].controlled:
+        return f"{found}, events of contacts unknown with fixed steps"
+    kinds = Counter(event.kind for event in simulation.drain_events() if event.joint in contacts)
+    contact = "contact" if len(contacts) == 1 else f"{len(contacts)} contacts"
+    named = (("touch", "touch", "touches"), ("leave", "leaving", "leavings"), ("slip", "slip", "slips"))
+    counts = (f"{kinds[kind]} {one if kinds[kind] == 1 else many}" for kind, one, many in named)
+    return f"{found}, {', '.join(counts)} of {contact}"
 
 
 def _error_of(simulation):

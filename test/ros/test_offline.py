@@ -304,6 +304,22 @@ def test_events_are_encoded_like_ros_strings(name, text):
 
 
 @pytest.mark.turn(3)
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [((), "2 touches, 2 leavings, 0 slips of contact"), (("--method", "rkmk4"), "events of contacts unknown with fixed")],
+)
+def test_the_summary_of_a_run_has_the_events_of_contacts(tmp_path, capsys, settings, said):
+    """An elastic ball that falls by 0.2 m lands after sqrt(2 h / g) = 0.2 s, and again after three times as long."""
+    scene = tmp_path / "ball.yaml"
+    scene.write_text(
+        "name: ball\ngravity: [0, 0, -9.81]\n"
+        "bodies: [{name: ball, shape: {type: sphere, radius: 0.1, mass: 2}, position: [0, 0, 0.3]}]\n"
+        "forces: [{name: floor, type: contact, body: ball, sinks: 1.0e-4, damping: 0}]\n"
+    )
+    assert main(["run", str(scene), "--duration", "0.9", "--out", str(tmp_path / "ball.mcap"), *settings]) == 0
+    assert f", {said}" in capsys.readouterr().out
+
+
 def test_describe_says_that_a_mechanism_is_planar(capsys):
     for scene, expected in (("four_bar", True), ("bricard", False)):
         assert main(["describe", scene]) == 0
