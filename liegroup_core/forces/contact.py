@@ -371,6 +371,16 @@ class Contact(Force):
         return found
 
 
+def drawn_by_contacts(scene):
+    """{body: [shape]} of the bodies of a Scene that have no shape but those of their contacts."""
+    found = {}
+    for contact in (force for force in scene.forces if force.type == "contact"):
+        for name, shape in zip((contact.body, contact.other), contact.shapes):
+            if shape not in found.setdefault(name, []):
+                found[name].append(shape)
+    return {body.name: found[body.name] for body in scene.bodies if body.shape is None and body.name in found}
+
+
 def outline(shape, around=32):
     """(k, 3) m, points of a shape whose convex hull has its form, in the body frame; around : of them on a circle."""
     if shape.type == "hull":

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """visualization_msgs/MarkerArray of a scene for RViz and Foxglove.
 
-A body is drawn as its shape. A body without a shape is drawn as the homogeneous box of the same
-mass and inertia, with edges x^2 = 6 (I_y + I_z - I_x) / m about the principal axes. A robot is drawn
+A body is drawn as its shape, or as those of its contacts. A body without a shape is drawn as the homogeneous box of the
+same mass and inertia, with edges x^2 = 6 (I_y + I_z - I_x) / m about the principal axes. A robot is drawn
 with the visuals of its file; meshes must exist on this machine. A joint is a
 small sphere at the child's joint frame. An applied wrench is drawn as two arrows at the body's
 origin, one for the force and one for the torque; `arrow_scale` sets their length. So is the force of a contact on its
@@ -14,7 +14,9 @@ import dataclasses
 import math
 
 import numpy as np
+from scipy.spatial import ConvexHull
 
+from liegroup_core.forces.contact import drawn_by_contacts, outline
 from liegroup_core.robots.description import Visual, place
 from liegroup_core.robots.resources import find_resource
 from liegroup_core.scene.centres import PLACES
@@ -24,7 +26,7 @@ from .cdr import Template, stamp
 from .links import placer
 from .touching import PLANE, POINT, SLIPS, STICKS, planes
 
-CUBE, SPHERE, CYLINDER, ARROW, SPHERES, MESH = 1, 2, 3, 0, 7, 10
+CUBE, SPHERE, CYLINDER, ARROW, SPHERES, MESH, TRIANGLES = 1, 2, 3, 0, 7, 10, 11
 RIM = 0.08  # width of a wheel that is drawn, relative to its diameter
 ADD, DELETE, DELETE_ALL = 0, 2, 3
 BODY_COLOR = (0.35, 0.55, 0.8, 0.9)
@@ -62,7 +64,7 @@ class Markers:
         count = len(shapes) + len(scene.joints) + len(grounds) + 2 * len(scene.bodies) + len(contacts)
         template.put("I", count + bool(points))
         for i, (body, kind, size, pose, mesh, color) in enumerate(shapes):
-            if kind != MESH:
+            if kind not in (MESH, TRIANGLES):
                 size = np.maximum(size, THINNEST * largest)
             _add(template, "bodies", i, kind, world_frame, size, color, mesh)
             owners.append(body)
@@ -122,7 +124,7 @@ class Markers:
 def _add(template, namespace, number, kind, frame, size, color, mesh="", points=0):
     """Append a visualization_msgs/Marker; slots: stamp, action, pose, for arrows the ends, for SPHERES points, colors.
 
-    mesh   : address of the mesh of a MESH
+    mesh   : address of the mesh of a MESH, or corners (k, 3) of TRIANGLES
     points : number of the points of SPHERES
     """
     template.header(frame)
@@ -134,7 +136,10 @@ def _add(template, namespace, number, kind, frame, size, color, mesh="", points=
     template.put("4f", *color)
     template.put("iI", 0, 0)  # lifetime: unlimited
     template.put("B", False)  # not locked to the frame
-    template.put("I", 2 if kind == ARROW else points)
+    corners, mesh = (np.ravel(mesh), "") if kind == TRIANGLES else ((), mesh)
+    template.put("I", 2 if kind == ARROW else points or len(corners) // 3)
+    if len(corners):
+        template.put(f"{len(corners)}d", *corners)
     if kind == ARROW:
         template.slot("6d")
     if points:
@@ -162,7 +167,7 @@ def markers(encoder):
 def drawn(scene):
     """[(name of the body or world, kind, sizes (3,) in m, pose (4, 4) in the body's frame, mesh, color)].
 
-    All visuals of a robot, else one shape per body; mesh: address of a mesh, "" for other shapes.
+    All visuals of a robot; else the shapes of a body's contacts, or one shape. mesh: see `_add`.
     """
     found, shown = [], set()
     for body, pose, visual in () if scene.robot is None else scene.robot.drawn():
@@ -173,11 +178,25 @@ def drawn(scene):
                 own = np.linalg.solve(visual.pose, each.pose)
                 found.append((body, kind, size, pose @ own, mesh, visual.color or BODY_COLOR))
                 shown.add(body)
+    touching = drawn_by_contacts(scene)
     for body in scene.bodies:
         if body.name not in shown:
-            parts = in_primitives(solid(body, scene))
+            own = touching.get(body.name, ())
+            hulls = [outline(shape) for shape in own if shape.type == "hull"]
+            visuals = [_visual(shape) for shape in own if shape.type != "hull"] if own else [solid(body, scene)]
+            parts = [part for each in visuals for part in in_primitives(each)]
             found += [(body.name, TYPES[each.kind], edges(each), each.pose, "", BODY_COLOR) for each in parts]
+            found += [(body.name, TRIANGLES, (1.0,) * 3, np.eye(4), _triangles(each), BODY_COLOR) for each in hulls]
     return found
+
+
+def _triangles(points):
+    """(3 k, 3) corners of the triangles of the convex hull of points, m; each is seen from outside."""
+    hull = ConvexHull(points)
+    corners = points[hull.simplices]
+    turned = np.einsum("ki,ki->k", np.cross(*np.diff(corners, axis=1).swapaxes(0, 1)), hull.equations[:, :3]) < 0.0
+    corners[turned] = corners[turned, ::-1]
+    return corners.reshape(-1, 3)
 
 
 def in_primitives(visual):
@@ -220,7 +239,6 @@ def links(scene):
 
 def solid(body, scene):
     """Visual that represents a body of a scene: its shape, or a box of the same mass and inertia."""
-    local = np.eye(4)
     shape = body.shape
     rolling = next((j for j in scene.joints if j.child == body.name and hasattr(j, "radius")), None)
     if shape is None and rolling is not None:
@@ -228,11 +246,17 @@ def solid(body, scene):
         kind, size = ("sphere", (radius,)) if is_ball else ("cylinder", (radius, RIM * 2.0 * radius))
         return Visual(kind, size, rolling.child_frame.pose)
     if shape is None:
-        moments, axes = np.linalg.eigh(body.inertia_matrix)
+        local, (moments, axes) = np.eye(4), np.linalg.eigh(body.inertia_matrix)
         local[:3, :3] = axes * np.linalg.det(axes)  # a rotation, not a reflection
         local[:3, 3] = body.com
         squares = 6.0 * (moments.sum() - 2.0 * moments) / body.mass
         return Visual("box", tuple(math.sqrt(max(0.0, square)) for square in squares), local)
+    return _visual(shape)
+
+
+def _visual(shape):
+    """Visual of a shape of a body or of a contact that is no hull."""
+    local = np.eye(4)
     local[:3, :3], local[:3, 3] = shape.rotation, shape.position
     if shape.type == "box":
         return Visual("box", tuple(shape.size), local)

@@ -15,7 +15,7 @@ import numpy as np
 import scipy
 
 from liegroup_core.errors import SceneError
-from liegroup_core.forces.contact import outline
+from liegroup_core.forces.contact import drawn_by_contacts, outline
 from liegroup_core.robots.access import trees
 from liegroup_core.robots.apart import triangulated
 from liegroup_core.robots.options import BASES, Options
@@ -94,26 +94,23 @@ def shapes_from(file, scene, mapped=None, most=MOST_TRIANGLES):
     )
 
 
-def contact_shapes(scene):
-    """{body: [shape]} of the bodies that have no shape but those of their contacts; all of these are convex."""
-    found, seen = {}, {body.name: [] for body in scene.bodies if body.shape is None}
-    for contact in (force for force in scene.forces if force.type == "contact"):
-        for name, shape in zip((contact.body, contact.other), contact.shapes):
-            if name in seen and shape not in seen[name]:
-                seen[name].append(shape)
-                points = outline(shape)
-                hull = scipy.spatial.ConvexHull(points)
-                low, high = points.min(axis=0), points.max(axis=0)
-                found.setdefault(name, []).append(
-                    {
-                        "points": base64.b64encode(points.astype("<f4").tobytes()).decode(),
-                        "faces": base64.b64encode(hull.simplices.astype("<i4").tobytes()).decode(),
-                        "at": (0.5 * (low + high)).tolist(),
-                        "size": (high - low).tolist(),
-                        "color": None,
-                    }
-                )
-    return found
+def with_contacts(shapes, scene):
+    """{body or world: [shape]} of `robot_shapes`, and of bodies that have none there those of their contacts."""
+    found = {name: own for name, own in drawn_by_contacts(scene).items() if not shapes.get(name)}
+    return shapes | {name: [_convex(shape) for shape in own] for name, own in found.items()}
+
+
+def _convex(shape):
+    """Shape as of `robot_shapes` of the shape of a contact."""
+    points = outline(shape)
+    low, high = points.min(axis=0), points.max(axis=0)
+    return {
+        "points": base64.b64encode(points.astype("<f4").tobytes()).decode(),
+        "faces": base64.b64encode(scipy.spatial.ConvexHull(points).simplices.astype("<i4").tobytes()).decode(),
+        "at": (0.5 * (low + high)).tolist(),
+        "size": (high - low).tolist(),
+        "color": None,
+    }
 
 
 def box_of(shapes):

@@ -13,7 +13,7 @@ from liegroup_sim_ros.messages.markers import THINNEST, edges, links, solid
 from liegroup_sim_ros.messages.touching import arrows, measure, patches, radius
 
 from .plots import BASE, MANY_COLOURS, label
-from .shapes import box_of, contact_shapes
+from .shapes import box_of, with_contacts
 
 # Limits on the number of poses of all bodies and of frames. More would make the page large, fewer the motion jerky.
 MOST_PLACES, MOST_FRAMES, LEAST_FRAMES = 15_000, 3000, 200
@@ -35,7 +35,7 @@ def make_view(analysis, shapes=None):
     breaks        : last frames before a reset
     """
     scene, stretches = analysis.scene, analysis.motion.stretches
-    shapes = (shapes or {}) | {name: own for name, own in contact_shapes(scene).items() if not (shapes or {}).get(name)}
+    shapes = with_contacts(shapes or {}, scene)
     layout = analysis.layout
     index = {body.name: i for i, body in enumerate(scene.bodies)}
     solids = [solid(body, scene) for body in scene.bodies]
@@ -52,13 +52,13 @@ def make_view(analysis, shapes=None):
         }
         for i, (body, each) in enumerate(zip(scene.bodies, solids))
     ]
-    given = [(shapes or {}).get(body.name) for body in scene.bodies]
+    given = [shapes.get(body.name) for body in scene.bodies]
     given = [found and max(found, key=lambda shape: np.prod(shape["size"]))["color"] for found in given]
     for scene_body, body, own in zip(scene.bodies, bodies, given):
         # Paths of equal colours, or of grey ones, could not be told apart.
         if own and given.count(own) == 1 and np.ptp(own[:3]) > COLOURFUL:
             body["colour"] = _rgb(own)
-        if found := (shapes or {}).get(scene_body.name):
+        if found := shapes.get(scene_body.name):
             at, size = box_of(found)
             body |= {
                 "shapes": list(_coloured(found)),
@@ -66,7 +66,7 @@ def make_view(analysis, shapes=None):
                 "size": size.tolist(),
                 "turn": np.eye(3).ravel().tolist(),
             }
-        elif scene_body.name in (shapes or {}):
+        elif scene_body.name in shapes:
             body |= {"solid": "sphere", "at": body["com"], "size": [thinnest] * 3}
     joints = [
         {
@@ -102,7 +102,7 @@ def make_view(analysis, shapes=None):
     seconds = float(times[-1] - times[0])
     return {
         "bodies": bodies,
-        "fixed": [{"shapes": list(_coloured(found))} for found in [(shapes or {}).get(WORLD)] if found],
+        "fixed": [{"shapes": list(_coloured(found))} for found in [shapes.get(WORLD)] if found],
         "joints": joints,
         "links": [[[i, point.tolist()] for i, point in ends] for ends in links(scene)],
         "times": _packed(times, "<f8"),

@@ -52,16 +52,21 @@ class Boxes:
         return (at - reach).reshape(-1, 3).min(axis=0), (at + reach).reshape(-1, 3).max(axis=0)
 
     def framed(self, poses, before=None):
-        """Bounds that a camera frames, and keeps while the bodies are in them; before: those of now, or None."""
+        """Bounds that a camera frames, and keeps while the bodies are in them, unless these need far less.
+
+        before : those of now, or None
+        """
         low, high = self.bounds(poses)
-        if before is not None and (before[0] <= low).all() and (high <= before[1]).all():
+        most = LARGEST * max(self.size, np.linalg.norm(high - low))
+        is_inside = before is not None and (before[0] <= low).all() and (high <= before[1]).all()
+        if is_inside and np.linalg.norm(before[1] - before[0]) <= most:
             return before
         room = ROOM * np.linalg.norm(high - low)
         own = low - room, high + room
         if before is None:
             return own
         both = np.minimum(own[0], before[0]), np.maximum(own[1], before[1])
-        is_large = np.linalg.norm(both[1] - both[0]) > LARGEST * max(self.size, np.linalg.norm(high - low))
+        is_large = np.linalg.norm(both[1] - both[0]) > most
         return (own[0] - 5.0 * room, own[1] + 5.0 * room) if is_large else both
 
     def picked(self, origin, direction, poses, body=None):

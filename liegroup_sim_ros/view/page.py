@@ -10,7 +10,7 @@ import numpy as np
 
 from liegroup_core.errors import LieGroupSimError
 from liegroup_sim_ros.messages.touching import planes
-from liegroup_sim_ros.report.shapes import robot_shapes, shapes_from
+from liegroup_sim_ros.report.shapes import robot_shapes, shapes_from, with_contacts
 
 from .boxes import camera_at
 from .drawing import Drawing, Look
@@ -57,6 +57,7 @@ class Page:
             )
         elif scene.robot is not None:
             self._shapes, remarks = robot_shapes(scene.robot, MOST_TRIANGLES)
+        self._shapes = with_contacts(self._shapes, scene)
         for remark in remarks:
             source.tell(0.0, "shapes", remark)
         self._server, self.address = open_server(host, port, source.title)

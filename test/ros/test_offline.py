@@ -303,10 +303,12 @@ def test_events_are_encoded_like_ros_strings(name, text):
     assert len(serialize_message(message)) == len(data)
 
 
-@pytest.mark.turn(3)
 @pytest.mark.parametrize(
     ("settings", "said"),
-    [((), "2 touches, 2 leavings, 0 slips of contact"), (("--method", "rkmk4"), "events of contacts unknown with fixed")],
+    [
+        ((), "2 touches, 2 leavings, 0 slips of contact"),
+        (("--method", "rkmk4"), "events of contacts unknown with fixed"),
+    ],
 )
 def test_the_summary_of_a_run_has_the_events_of_contacts(tmp_path, capsys, settings, said):
     """An elastic ball that falls by 0.2 m lands after sqrt(2 h / g) = 0.2 s, and again after three times as long."""
@@ -320,6 +322,7 @@ def test_the_summary_of_a_run_has_the_events_of_contacts(tmp_path, capsys, setti
     assert f", {said}" in capsys.readouterr().out
 
 
+@pytest.mark.turn(3)
 def test_describe_says_that_a_mechanism_is_planar(capsys):
     for scene, expected in (("four_bar", True), ("bricard", False)):
         assert main(["describe", scene]) == 0

@@ -8,15 +8,19 @@ import numpy as np
 import pytest
 from browser import CHROMIUM, Browser
 from made_run import PACING, PAIR, record
+from rclpy.serialization import deserialize_message
 from scene_files import text_of
+from visualization_msgs.msg import MarkerArray
 
-from liegroup_core import load_scene
+from liegroup_core import Simulation, load_scene
 from liegroup_core.fields import values
+from liegroup_core.layout import make_layout
 from liegroup_core.scene.load import scene_from_text
 from liegroup_sim_ros.commands.main import main
+from liegroup_sim_ros.messages import markers
 from liegroup_sim_ros.messages.touching import radius
 from liegroup_sim_ros.recording.read import read_recording
-from liegroup_sim_ros.report.shapes import contact_shapes, decoded
+from liegroup_sim_ros.report.shapes import decoded, with_contacts
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs chromium")
 DARK_CARD, LIGHT_CARD = "rgb(29, 33, 39)", "rgb(255, 255, 255)"
@@ -313,18 +317,38 @@ SHAPES = {  # a contact shape, and its volume in m^3
 
 @pytest.mark.parametrize("shape", SHAPES)
 def test_a_body_without_a_shape_is_drawn_by_that_of_its_contact(shape):
-    """Its outline has the volume of the shape, but for the facets; and the point of contact is seen below a ball."""
+    """Its outline has the volume of the shape, but for the facets; and the point of contact is seen below a ball.
+
+    The markers of the node have its extent along the axes of the body, and triangles of a hull are seen from outside.
+    """
     scene = scene_from_text(
         "{name: a, gravity: [0, 0, -9.81], bodies: [{name: foot, mass: 1, inertia: [0.3, 0.3, 0.3]}],"
         f"forces: [{{name: floor, type: contact, body: foot, sinks: 1.0e-4, restitution: 0.5, shape: {shape}}}]}}"
     )
-    (drawn,) = contact_shapes(scene)["foot"]
+    (drawn,) = with_contacts({}, scene)["foot"]
     points, faces = decoded(drawn)
     ends = points[faces].astype(float) - points.mean(axis=0)
     volume = np.abs(np.linalg.det(ends)).sum() / 6.0
     # With an angle a = 2 pi / 32 between points, circles lack a^2 / 6 of their area. Chords across are a^2 / 12 of the
     # radius below the surface in the mean, so that a ball lacks a^2 / 4 of its volume.
     assert volume == pytest.approx(SHAPES[shape], rel=(1.0 / 6.0 + 1.0 / 4.0) * (2.0 * np.pi / 32) ** 2)
+    encoded = markers.Markers(make_layout(scene), "world", 1.0).encode(0, Simulation(scene, quiet=True).sample())
+    body = deserialize_message(encoded, MarkerArray).markers[0]
+    assert len(body.points) == (3 * len(faces) if "hull" in shape else 0)
+    ends = []
+    for _, kind, size, pose, corners, _ in markers.drawn(scene):
+        reach, turn = 0.5 * np.array(size), np.abs(pose[:3, :3])
+        if kind == markers.TRIANGLES:
+            assert np.linalg.det(corners.reshape(-1, 3, 3)).sum() / 6.0 == pytest.approx(volume)
+            ends += [corners.min(axis=0), corners.max(axis=0)]
+            continue
+        if kind == markers.CUBE:
+            reach = turn @ reach
+        elif kind == markers.CYLINDER:
+            reach = turn[:, 2] * reach[2] + np.sqrt(1.0 - turn[:, 2] ** 2) * reach[0]
+        ends += [pose[:3, 3] - reach, pose[:3, 3] + reach]
+    # Points are float32.
+    np.testing.assert_allclose([np.min(ends, axis=0), np.max(ends, axis=0)], [points.min(0), points.max(0)], atol=1e-7)
     lowest = points[:, 2].min()
     assert drawn["at"][2] - 0.5 * drawn["size"][2] == pytest.approx(lowest, abs=1e-6)
     ball = scene.forces[0].shapes[0]

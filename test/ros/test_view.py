@@ -651,3 +651,26 @@ def test_other_machines_need_the_token(monkeypatch):
 def test_a_host_of_another_machine_is_refused_in_one_line(capsys):
     assert main(["view", "free_body", "--host", "192.0.2.1", "--no-browser"]) == 2
     assert "give an address of this machine" in capsys.readouterr().err
+
+
+def test_what_is_framed_shrinks_when_bodies_come_back_and_has_shapes_of_contacts():
+    """It is kept while bodies move by little, holds all of them, and is at most LARGEST times as large as they need."""
+    shape = "{type: box, size: [0.1, 0.2, 0.4]}"
+    scene = scene_from_text(
+        "{name: a, gravity: [0, 0, -9.81], bodies: [{name: foot, mass: 1, inertia: [0.3, 0.3, 0.3]}],"
+        f"forces: [{{name: floor, type: contact, body: foot, sinks: 1.0e-4, restitution: 0.5, shape: {shape}}}]}}"
+    )
+    page = Page(Local(Simulation(scene, quiet=True), "foot", paused=True), port=8200)
+    page.stop()
+    boxes = page._drawing.boxes  # of the shape of the contact: the inertia is that of an edge of 1.3 m
+    np.testing.assert_allclose(boxes.halves, [[0.05, 0.1, 0.2]], rtol=1e-6)
+    near = np.array([[*np.eye(3).ravel(), 0.0, 0.0, 0.3]])
+    far = near + 100.0 * np.eye(12)[9]
+    both = np.stack([near, far])
+    start = boxes.framed(near)
+    large = boxes.framed(both, start)
+    assert (large[0] <= start[0]).all() and large[1][0] > 100.0
+    back = boxes.framed(near, large)
+    size = np.linalg.norm(back[1] - back[0])
+    assert np.linalg.norm(start[1] - start[0]) <= size < 4.0 * boxes.size
+    assert boxes.framed(near + 0.1 * boxes.size * np.eye(12)[9], back) is back
