@@ -246,6 +246,7 @@ class Robot:
     locked   : {joint: coordinate} of joints that do not move
     text     : URDF text of the robot, "" for other kinds
     fixtures : [Visual] of the world, besides those of links
+    planes   : [(name, (4, 4) pose whose z axis is its normal, coefficient of friction)] of the world that links touch
     """
 
     name: str
@@ -274,6 +275,7 @@ class Robot:
     locked: dict = field(default_factory=dict)
     text: str = ""
     fixtures: list = field(default_factory=list)
+    planes: list = field(default_factory=list)
 
     def size(self, base):
         """(number of links, number of joint coordinates of the tree); base: see robots.options.Options.

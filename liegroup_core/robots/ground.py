@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Contacts of a robot's collision shapes with the ground, a horizontal plane of the world."""
+"""Contacts of a robot's collision shapes with the ground: planes of the file, or a horizontal plane of the world."""
 
 import os
 from pathlib import Path
@@ -14,7 +14,7 @@ from liegroup_core.fields.values import Described, NotNegative, Number, Positive
 
 from .access import trees
 from .apart import triangulated
-from .description import WORLD, frame_keys, listed
+from .description import WORLD, frame_keys, listed, place
 from .names import scene_name
 from .resources import readable_mesh
 
@@ -36,7 +36,9 @@ class Ground(Described):
     links: Annotated[tuple[Text, ...], BeforeValidator(values.listed)] = Field(
         (), description="links whose collision shapes touch it; default: all"
     )
-    height: Number = Field(0.0, description="height of the ground in m, z of the world")
+    height: Number | None = Field(
+        None, description="height of the ground in m, z of the world; default: the planes of an MJCF file, else 0"
+    )
     friction: NotNegative | None = Field(
         None, description=f"coefficient of friction; default: that of each shape in the file, else {FRICTION:g}"
     )
@@ -50,6 +52,9 @@ class Ground(Described):
 def add_contacts(robot, options, grouping, parts, body_of, taken):
     """Append a contact of each collision shape that moves, if the options have a ground. Returns notes."""
     ground, every = options.ground, [link.name for link in robot.links.values() for _ in link.collisions]
+    if ground is None or ground.height is not None:
+        for name, *_ in robot.planes:
+            robot.leave_out("planes that touch: those of --ground if it has no height", name)
     if ground is None and every:
         return [f"changes the motion: no contact, {_counted(every)} without effect: bodies pass through each other"]
     if ground is None:
@@ -62,6 +67,8 @@ def add_contacts(robot, options, grouping, parts, body_of, taken):
     if not touching:
         text = "ground: no link that moves has a collision shape: give the file one, or omit the ground"
         raise options.error(("ground",), text)
+    floors = robot.planes if ground.height is None else ()
+    floors = floors or [("", place((0.0, 0.0, ground.height or 0.0)), 0.0)]
     links = [link for name, link in touching.items() if name in (ground.links or touching)]
     pairs = [(link, collision, collision.shape()) for link in links for collision in link.collisions]
     hulls, left, depths = _hulls(robot, pairs, ground.sinks), [], []
@@ -72,18 +79,23 @@ def add_contacts(robot, options, grouping, parts, body_of, taken):
             continue
         group = grouping.of_link[link.name]
         pose = group.places[link.name] @ visual.pose
-        depths.append((ground.height - _lowest(shape, group.pose @ pose), link.name))
-        friction = ground.friction
-        if friction is None:
-            friction = FRICTION if collision.friction is None else collision.friction()
-        entry = {"name": f"{scene_name(link.name)[:50]}_ground", "type": "contact", "body": body_of[id(group)]}
-        entry |= {"shape": shape | frame_keys(pose), "sinks": ground.sinks, "restitution": ground.restitution}
-        entry |= {"friction": friction} if friction else {}
-        entry |= {"load": ground.load} if ground.load else {}
-        entry |= {"plane": {"point": [0.0, 0.0, ground.height]}} if ground.height else {}
-        line = f"line {collision.line}" if collision.line else f"of the {robot.kind} file"
-        parts.add("forces", entry, collision.line, line, taken)
+        for _, floor, rubs in floors:
+            depths.append((-_lowest(shape, np.linalg.solve(floor, group.pose @ pose)), link.name))
+            friction = ground.friction
+            if friction is None:  # that of MuJoCo; others have no planes
+                friction = max(FRICTION if collision.friction is None else collision.friction(), rubs)
+            entry = {"name": f"{scene_name(link.name)[:50]}_ground", "type": "contact", "body": body_of[id(group)]}
+            entry |= {"shape": shape | frame_keys(pose), "sinks": ground.sinks, "restitution": ground.restitution}
+            entry |= {"friction": friction} if friction else {}
+            entry |= {"load": ground.load} if ground.load else {}
+            plane = {"point": floor[:3, 3].tolist()} if floor[:3, 3].any() else {}
+            plane |= {"normal": floor[:3, 2].tolist()} if floor[2, 2] != 1.0 else {}
+            entry |= {"plane": plane} if plane else {}
+            line = f"line {collision.line}" if collision.line else f"of the {robot.kind} file"
+            parts.add("forces", entry, collision.line, line, taken)
     notes = ["changes the motion: only the ground is touched: bodies pass through each other"]
+    if ground.height is None and robot.planes:
+        notes.append(f"ground: {listed([name for name, *_ in robot.planes])}")
     others = [name for name in every if name in touching and ground.links and name not in ground.links]
     if others:
         notes.append(f"changes the motion: {_counted(others)} do not touch the ground")

@@ -286,8 +286,8 @@ def _shapes(robot, model, names, lines):
                 f"shapes of geom groups above {SHOWN}, which MuJoCo hides", geom["name"] or f"{kind} of {name}"
             )
         elif kind == "plane" and geom["collides"] and name == WORLD:
-            planes = "planes that touch: --ground has its own height and friction"
-            robot.leave_out(planes, f"{kind} {geom['name']}".strip() + f" of {name}")
+            label = f"{kind} {geom['name']}".strip() + f" of {name}"
+            robot.planes.append((label, pose, float(geom["friction"])))
         elif kind not in VISUALS:
             robot.leave_out(NOT_DRAWN, f"{kind} {geom['name']}".strip() + f" of {name}")
         else:

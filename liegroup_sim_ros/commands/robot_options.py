@@ -61,8 +61,8 @@ def add_robot_options(parser):
         "--ground",
         nargs="*",
         metavar="LINK | KEY=VALUE",
-        help="the collision shapes of these links (default: all) touch the plane z = 0 of the world; keys: height, "
-        "friction, sinks, load, restitution (liegroup_sim keys ground)",
+        help="the collision shapes of these links (default: all) touch the planes of an MJCF file, else z = 0; keys: "
+        "height, friction, sinks, load, restitution (liegroup_sim keys ground)",
     )
     parser.add_argument(
         "--servos",

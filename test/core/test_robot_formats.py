@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What each format of robots has of its own: nested models, frames, loops, gears, addresses."""
 
+import math
+
 import numpy as np
 import pytest
 from robot_texts import ARM_SDF, ARM_URDF, bar, written
@@ -8,6 +10,7 @@ from scene_files import cases, filled, text_of
 from scipy.integrate import solve_ivp
 
 from liegroup_core import SceneError, Simulation, load_scene
+from liegroup_core.robots.ground import Ground
 from liegroup_core.robots.omitted import passive
 from liegroup_core.robots.options import Options
 from liegroup_core.robots.read import read_robot
@@ -974,7 +977,7 @@ def test_gravity_compensation_of_mjcf(tmp_path):
 
 
 def test_numbers_of_contacts_that_are_not_mapped_are_noted(tmp_path):
-    """Restitution and a second friction of SDF; the floor of a world of MJCF, whose height `ground` does not take."""
+    """Restitution and a second friction of SDF; the floor of a world of MJCF, which `ground` without a height takes."""
     text = (
         '<model name="m"><link name="a"><inertial auto="true"/><collision name="c"><geometry><sphere><radius>1</radius>'
         "</sphere></geometry><surface><friction><ode><mu>0.4</mu></ode></friction>{}</surface></collision></link></model>"
@@ -985,8 +988,21 @@ def test_numbers_of_contacts_that_are_not_mapped_are_noted(tmp_path):
         assert ("numbers of contacts in <surface>, but for mu (a)" in "\n".join(notes)) == bool(more)
     path = written(
         tmp_path / "floor.xml",
-        '<mujoco><worldbody><geom name="floor" type="plane" size="1 1 1" pos="0 0 -.5"/>'
+        '<mujoco><worldbody><geom name="floor" type="plane" size="1 1 1" pos="0 0 -.5" euler="0 30 0" friction="2"/>'
         '<body><freejoint/><geom type="sphere" size=".1"/></body></worldbody></mujoco>',
     )
     pytest.importorskip("mujoco")
-    assert "--ground has its own height and friction (plane floor of world)" in "\n".join(load_scene(path).notes)
+    left = "planes that touch: those of --ground if it has no height (plane floor of world)"
+    assert left in "\n".join(load_scene(path).notes)
+    for ground, point, normal, friction in (
+        (Ground(), (0.0, 0.0, -0.5), (0.5, 0.0, math.sqrt(0.75)), 2.0),
+        (Ground(height=-1.0), (0.0, 0.0, -1.0), (0.0, 0.0, 1.0), 1.0),
+    ):
+        scene = scene_from_robot(path, Options(ground=ground))
+        (contact,) = scene.forces
+        assert contact.plane.point == point and contact.friction == friction
+        np.testing.assert_allclose(contact.plane.normal, normal, atol=1e-12)
+        notes = "\n".join(scene.notes)
+        assert (left in notes) == (ground.height is not None) and ("ground: plane floor of world" in notes) != (
+            left in notes
+        )
