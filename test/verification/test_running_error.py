@@ -233,10 +233,10 @@ def test_a_companion_that_fails_between_checkpoints_is_noticed_at_the_next(monke
         fails = running._next - block + running.ours  # engine steps, inside a block
         assert block > running.ours
 
-        def stop(instant):
+        def stop(instant, enough=None):
             if instant.step * running.ours >= fails:
                 raise SimulationError("stopped")
-            advance_to(instant)
+            advance_to(instant, enough)
 
         monkeypatch.setattr(running.companion, "_go", stop)
         while simulation.steps < 100:
