@@ -61,30 +61,35 @@ class StoredMatrix:
     """A large square matrix in the memory of a method: copies have only the columns that are not zero.
 
     size   : number of rows
-    matrix : (size, size), or None: this is a copy
+    matrix : (size, size), its columns in rows, or None: this is a copy
+    filled : (size,) 0: a column is zero; of a new matrix -1
     known  : False: it has no meaning, and copies are empty
     """
 
-    __slots__ = ("_known", "_matrix", "at", "size", "values")
+    __slots__ = ("_filled", "_known", "_matrix", "at", "size", "values")
 
-    def __init__(self, size: int, matrix: "np.ndarray | None" = None, known: bool = True) -> None:
-        self.size, self._matrix, self._known = size, matrix, known
+    def __init__(
+        self, size: int, matrix: "np.ndarray | None" = None, filled: "np.ndarray | None" = None, known: bool = True
+    ) -> None:
+        self.size, self._matrix, self._filled, self._known = size, matrix, filled, known
         self.at, self.values = np.empty(0, dtype=np.int64), np.empty((size, 0))
 
     def copy(self) -> "StoredMatrix":
         """A copy, without the matrix."""
         copy = StoredMatrix(self.size)
         copy.at, copy.values = self.at, self.values
-        if self._matrix is not None and self._known:
-            copy.at = np.flatnonzero(self._matrix.any(axis=0))
-            copy.values = self._matrix[:, copy.at]
+        if self._matrix is not None and self._filled is not None and self._known:
+            filled = np.flatnonzero(self._filled)
+            copy.at = filled[self._matrix[filled].any(axis=1)]
+            copy.values = np.ascontiguousarray(self._matrix[copy.at].T)
         return copy
 
     def __setitem__(self, where: Any, copy: "StoredMatrix") -> None:
         """Set the matrix to a copy; an empty one has no meaning."""
         if len(copy.at):
-            self._matrix[:] = 0.0
-            self._matrix[:, copy.at] = copy.values
+            self._matrix[self._filled != 0] = 0.0
+            self._matrix[copy.at] = copy.values.T
+            self._filled[self._filled != 0] = self._filled[copy.at] = -1
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, StoredMatrix) and _equal(self.at, other.at) and _equal(self.values, other.values)
@@ -98,7 +103,8 @@ class StoredMatrix:
     def from_json(self, data: Any, where: str) -> "StoredMatrix":
         """Inverse of `as_json`; earlier versions have the whole matrix. Raises ValueError."""
         if isinstance(data, str):
-            return StoredMatrix(self.size, decoded(data, np.zeros((self.size, self.size)), where)).copy()
+            whole = decoded(data, np.zeros((self.size, self.size)), where)
+            return StoredMatrix(self.size, whole.T, np.ones(self.size)).copy()
         if not (isinstance(data, list) and len(data) == 2 and isinstance(data[0], str)):
             raise ValueError(f"{where} must have columns and their values, {got(data)}")
         copy, count = StoredMatrix(self.size), len(data[0]) * 3 // 4 // self.at.itemsize

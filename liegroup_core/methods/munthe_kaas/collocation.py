@@ -8,6 +8,7 @@ from liegroup_core.state import StoredMatrix
 
 STAGES = 3
 START, END = STAGES, STAGES + 1  # rows of Collocation.z after those of the stages
+LISTS = "filled", "coupled", "active"
 
 
 class Collocation(Struct):
@@ -23,9 +24,11 @@ class Collocation(Struct):
     z: np.ndarray  # (5, f, 2) y of the stages, of a perturbed start, and of the end
     slopes: np.ndarray  # (5, f, 2) F there
     initial: np.ndarray  # (f, 2) F at the start
-    stiffness: np.ndarray  # (f, f) Q
-    damping: np.ndarray  # (f, f) D
+    stiffness: np.ndarray  # (f, f) Q, its columns in rows
+    damping: np.ndarray  # (f, f) D, the same
+    filled: np.ndarray  # (f,) int64 whether a column of Q or D is not zero; -1: that is not known
     coupled: np.ndarray  # (1 + f,) int64 number of freedoms on which an acceleration depends, and these
+    active: np.ndarray  # (1 + f,) int64 the same of those whose acceleration depends on one
     factors: np.ndarray  # (f, f) of these, in its first rows and columns
     pivots: np.ndarray  # (f,)
     x: np.ndarray  # (f,)
@@ -45,7 +48,7 @@ class Collocation(Struct):
         if len(self.z) == 0:
             return ()
         known, parts = self.known[0] != 0.0, (self.stiffness, self.damping)
-        return self.known, *(StoredMatrix(len(part), part, known) for part in parts)
+        return self.known, *(StoredMatrix(len(part), part, self.filled, known) for part in parts)
 
 
 def no_collocation():
@@ -54,7 +57,7 @@ def no_collocation():
     sizes |= {"inverse": 2, "real": 2, "pair": 2, "initial": 2, "next": 2}
     sizes |= {"z": 3, "slopes": 3, "residual": 3}
     arrays = {
-        name: np.zeros((0,) * sizes.get(name, 1), dtype=np.int64 if "pivots" in name or name == "coupled" else float)
+        name: np.zeros((0,) * sizes.get(name, 1), dtype=np.int64 if "pivots" in name or name in LISTS else float)
         for name in Collocation.__annotations__
         if name != "real_value"
     }
@@ -92,7 +95,9 @@ def make_collocation(tableau, freedoms):
         initial=np.zeros((f, 2)),
         stiffness=np.zeros((f, f)),
         damping=np.zeros((f, f)),
+        filled=np.zeros(f, dtype=np.int64),
         coupled=np.zeros(1 + f, dtype=np.int64),
+        active=np.zeros(1 + f, dtype=np.int64),
         factors=np.zeros((f, f)),
         pivots=np.zeros(f, dtype=np.int64),
         x=np.zeros(f),

@@ -97,13 +97,17 @@ def _differentiate(scheme, model, work, time, pose, external):
     for p in range(f):
         newton.z[START, p, 0] = newton.z[START, p, 1] = 0.0
     for p in range(f):
-        for part in range(2):
-            if p >= first and (part == 0 or not state_matters(model.space.forces.laws, work.registers, p - first)):
+        if p >= first and not state_matters(model.space.forces.laws, work.registers, p - first):
+            if newton.filled[p] != 0:
                 for r in range(f):
-                    if part == 0:
-                        newton.stiffness[r, p] = 0.0
-                    else:
-                        newton.damping[r, p] = 0.0
+                    newton.stiffness[p, r] = newton.damping[p, r] = 0.0
+                newton.filled[p] = 0
+            continue
+        newton.filled[p] = -1
+        for part in range(2):
+            if part == 0 and p >= first:
+                for r in range(f):
+                    newton.stiffness[p, r] = 0.0
                 continue
             change = DISPLACEMENT
             if part == 1:
@@ -116,23 +120,33 @@ def _differentiate(scheme, model, work, time, pose, external):
             for r in range(f):
                 slope = (newton.slopes[START, r, 1] - newton.initial[r, 1]) / change
                 if part == 0:
-                    newton.stiffness[r, p] = slope
+                    newton.stiffness[p, r] = slope
                 else:
-                    newton.damping[r, p] = slope
+                    newton.damping[p, r] = slope
     return OK
 
 
 @kernel
 def _find_coupled(newton):
-    """Find the freedoms on which an acceleration depends: not the bristles of points that touch nothing."""
-    coupled, f = newton.coupled, len(newton.initial)
-    coupled[0] = 0
+    """Find the freedoms on which an acceleration depends, and whose does: no bristles of points that touch nothing."""
+    coupled, active, f = newton.coupled, newton.active, len(newton.initial)
+    coupled[0] = active[0] = 0
+    for r in range(f):
+        active[1 + r] = 0
     for p in range(f):
+        if newton.filled[p] == 0:
+            continue
+        newton.filled[p] = 0
         for r in range(f):
-            if newton.stiffness[r, p] != 0.0 or newton.damping[r, p] != 0.0:
-                coupled[0] += 1
-                coupled[coupled[0]] = p
-                break
+            if newton.stiffness[p, r] != 0.0 or newton.damping[p, r] != 0.0:
+                newton.filled[p] = active[1 + r] = 1
+        if newton.filled[p] != 0:
+            coupled[0] += 1
+            coupled[coupled[0]] = p
+    for r in range(f):
+        if active[1 + r] != 0 or newton.filled[r] != 0:
+            active[0] += 1
+            active[active[0]] = r
 
 
 @kernel
@@ -147,7 +161,7 @@ def _factorise(newton, h):
         r = newton.coupled[1 + i]
         for j in range(n):
             c = newton.coupled[1 + j]
-            q, d = newton.stiffness[r, c], newton.damping[r, c]
+            q, d = newton.stiffness[c, r], newton.damping[c, r]
             newton.factors[i, j] = -mu * d - q
             newton.real_factors[i, j] = -a * d - q
             newton.imag_factors[i, j] = -b * d
@@ -167,10 +181,12 @@ def _solve_real(newton, h):
         packed[i] = x[newton.coupled[1 + i]]
     lu_solve(newton.factors, newton.pivots, n, packed)
     if n < len(x):
+        for i in range(n):
+            c = newton.coupled[1 + i]
+            for k in range(newton.active[0]):
+                r = newton.active[1 + k]
+                x[r] += (mu * newton.damping[c, r] + newton.stiffness[c, r]) * packed[i]
         for r in range(len(x)):
-            for i in range(n):
-                c = newton.coupled[1 + i]
-                x[r] += (mu * newton.damping[r, c] + newton.stiffness[r, c]) * packed[i]
             x[r] /= mu * mu
     for i in range(n):
         x[newton.coupled[1 + i]] = packed[i]
@@ -188,13 +204,15 @@ def _solve_pair(newton, h):
     if n < len(x):
         real, imag = a * a - b * b, 2.0 * a * b
         square = real * real + imag * imag
+        for i in range(n):
+            c = newton.coupled[1 + i]
+            for k in range(newton.active[0]):
+                r = newton.active[1 + k]
+                q, d = a * newton.damping[c, r] + newton.stiffness[c, r], b * newton.damping[c, r]
+                x[r] += q * u[i] - d * v[i]
+                y[r] += q * v[i] + d * u[i]
         for r in range(len(x)):
             one, two = x[r], y[r]
-            for i in range(n):
-                c = newton.coupled[1 + i]
-                q, d = a * newton.damping[r, c] + newton.stiffness[r, c], b * newton.damping[r, c]
-                one += q * u[i] - d * v[i]
-                two += q * v[i] + d * u[i]
             x[r], y[r] = (one * real + two * imag) / square, (two * real - one * imag) / square
     for i in range(n):
         r = newton.coupled[1 + i]
@@ -214,14 +232,18 @@ def _correct(newton, h):
                     total -= newton.inverse[j, other] / h * newton.z[other, p, c]
                 newton.residual[j, p, c] = total
     real, pair = newton.real, newton.pair
+    # The right side r2 + mu r1 - D r1.
+    for i in range(newton.coupled[0]):
+        p = newton.coupled[1 + i]
+        for j in range(STAGES):
+            one = newton.residual[j, p, 0]
+            for k in range(newton.active[0]):
+                r = newton.active[1 + k]
+                newton.residual[j, r, 1] -= newton.damping[p, r] * one
     for r in range(f):
-        # The right side r2 + mu r1 - D r1.
         right, right_a, right_b = 0.0, 0.0, 0.0
         for j in range(STAGES):
             one, two = newton.residual[j, r, 0], newton.residual[j, r, 1]
-            for i in range(newton.coupled[0]):
-                p = newton.coupled[1 + i]
-                two -= newton.damping[r, p] * newton.residual[j, p, 0]
             right += real[j, 0] * (two + mu * one)
             right_a += pair[j, 0] * (two + a * one) - pair[j, 1] * b * one
             right_b += pair[j, 1] * (two + a * one) + pair[j, 0] * b * one
@@ -290,11 +312,12 @@ def _estimate(newton, h):
                 total += real * newton.estimate[j] * newton.z[j, p, c]
             newton.next[p, c] = total
     for r in range(f):
-        right = newton.next[r, 1] + real * newton.next[r, 0]
-        for i in range(newton.coupled[0]):
-            p = newton.coupled[1 + i]
-            right -= newton.damping[r, p] * newton.next[p, 0]
-        newton.x[r] = right
+        newton.x[r] = newton.next[r, 1] + real * newton.next[r, 0]
+    for i in range(newton.coupled[0]):
+        p = newton.coupled[1 + i]
+        for k in range(newton.active[0]):
+            r = newton.active[1 + k]
+            newton.x[r] -= newton.damping[p, r] * newton.next[p, 0]
     _solve_real(newton, h)
     for p in range(f):
         newton.next[p, 1] = real * newton.x[p] - newton.next[p, 0]
