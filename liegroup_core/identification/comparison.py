@@ -33,6 +33,8 @@ BY_CHANCE = 3.0 * 2.7
 # Largest growth G of differences in a segment. Columns have a relative error of 1e-8 G, see CHANGE, and starts explain
 # all but 1/G of what delays and numbers change: of what is left, the error is 1e-8 G^2, here 1e-2.
 PARTED = 1e3
+LOST = 1e4  # growth in one run from which on that error is as large as what is left: such a run cannot be fitted
+FIRST_PART = 1.0 / 64.0  # of a recording, in which the growth of one run is looked for first
 LONGEST = 0.01  # s, first longest step; it is halved until the errors are a small part of the noise
 # Of the time T in which a contact acts: one that begins within a step h changes the speed by (h / T)^2 / 8 too much.
 OF_CONTACT = 1.0 / 16.0
@@ -263,11 +265,16 @@ def _some(spans, length, count=FEW_SEGMENTS):
 
 
 def _whole(fit, point):
-    """Solution of one run along each recording, from given numbers on; None: it cannot be simulated."""
+    """Solution of one run along each recording, from given numbers on; None: it cannot be simulated, or is lost."""
     spans = fit.runs.log.spans
     halves = in_short_steps(fit, continued(fit, _some(spans, shortest(fit.runs.log)), point)).halves
     try:
-        point, found = continued(fit, _divided(spans, np.inf), replace(point, halves=halves)), None
+        point, found, share = continued(fit, _divided(spans, np.inf), replace(point, halves=halves)), None, FIRST_PART
+        while share < 1.0:
+            first, last = point.bounds.T
+            if fit.run_growth(replace(point, bounds=np.column_stack([first, first + share * (last - first)]))) > LOST:
+                return None
+            share *= 2.0
         for part in SHARPER:
             rough = [np.maximum(s, part * each.spread) for s, each in zip(fit.deviation, fit.runs.log.measured)]
             if part and all(map(np.array_equal, rough, fit.deviation)):
@@ -302,7 +309,7 @@ def tied(fit, found, whole=None):
     whole : Solution with which the search began: what is found is not farther from the measurements; None: none
     """
     point, others = _as_one(fit, found.point), []
-    begins = [point]
+    begins = [point] if fit.growth(found.residuals, found.linear, along=True) <= LOST else []
     if whole is not None:
         begins.append(replace(whole.point, bounds=point.bounds, states=whole.point.states[: len(point.bounds)]))
     for begin in begins:
@@ -424,7 +431,7 @@ def begin(scene, log, names=(), workers=None, limits=None, priors=None, is_late=
         np.array([each.delay or 0.0 for each in log.measured]),
     )
     point = Unknowns(bounds[:0], delays, values, ())
-    if length > FEW and fit.solution(continued(fit, _divided(log.spans, length)[:1], point)).growth > PARTED:
+    if length > FEW and fit.run_growth(continued(fit, _divided(log.spans, length)[:1], point)) > PARTED:
         raise SceneError(
             f"{LEAST} messages take {length:.3g} s, in which motions of the scene part {PARTED:g} times: check the "
             "unit of the stamps"

@@ -46,8 +46,7 @@ class Solution:
     outputs    : [[(r, p)]], and gaps (z,) to the next start
     chain      : Chain of the columns of the weighted outputs, with free delays, then numbers by their scales
     cost       : mean square that the fit minimises, see `Fit.cost`
-    growth     : largest change of an output with a start that changes by 1 rad or the mechanism's size, by the spread
-                 of the output; of outputs that show a motion
+    growth     : largest in a segment, see `Fit.growth`
     converged  : whether the last step was small
     linear     : [Part] without gaps
     deviation  : [(p,)] of the weights
@@ -246,16 +245,32 @@ class Fit:
         rest = [self.weighted(one) for one in residuals]
         if not _are_of(columns, rest):
             columns = self._linear(point, outputs)
-        sizes, growth = [], 0.0
-        for sigma, each in zip(self.deviation, self._log):
-            sizes.append(np.divide(sigma, each.spread, out=np.zeros_like(sigma), where=each.spread > MOVES * sigma))
-        for one, part in zip(residuals, columns):
-            size = np.concatenate([np.tile(of, len(values)) for of, values in zip(sizes, one)])
-            growth = max(growth, np.abs(size[:, None] * part.own).max(initial=0.0))
+        growth = self.growth(residuals, columns)
         columns = [part._replace(rest=r) for part, r in zip(columns, rest)]
         parts = _at(columns, rest, outputs, slack)
         chain, cost = Chain(parts), self.cost(point, parts)
         return Solution(point, residuals, outputs, chain, cost, growth, converged, columns, list(self.deviation), slack)
+
+    def growth(self, residuals, columns, along=False):
+        """Largest change of an output with a start that changes by 1 rad or the mechanism's size, by its spread.
+
+        Of outputs that show a motion. along : of starts of whole recordings, through the ties; else of each segment
+        """
+        sizes, found, before = [], 0.0, None
+        for sigma, each in zip(self.deviation, self._log):
+            sizes.append(np.divide(sigma, each.spread, out=np.zeros_like(sigma), where=each.spread > MOVES * sigma))
+        for one, part in zip(residuals, columns):
+            size = np.concatenate([np.tile(of, len(values)) for of, values in zip(sizes, one)])
+            own = part.own if before is None else part.own @ before
+            found = max(found, np.abs(size[:, None] * own).max(initial=0.0))
+            if along:
+                before = part.tie and (part.tie.own if before is None else part.tie.own @ before)
+        return found
+
+    def run_growth(self, point):
+        """Growth of segments from Unknowns. Raises SimulationError."""
+        outputs = self.runs.base(point)
+        return self.growth(self.residuals(point, outputs), self._linear(point, outputs, starts_only=True))
 
     def residuals(self, point, outputs):
         """[[(r, p)]] measured minus outputs."""
