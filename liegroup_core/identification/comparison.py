@@ -27,6 +27,9 @@ SLACKS = 1.0, 1e-2, 1e-5  # of ties, one after the other
 SHARPER = 1e-2, 1e-3, 1e-4, 1e-5, 0.0
 FEW_SEGMENTS = 4  # of each recording, which show how long segments may be
 LINEAR = 0.01  # of the spread of an output: largest rms that is not noise, for effects to be linear
+# Of the mean square in reach. What is not linear in a run that near is at most as large as the residuals of that run:
+# so what is left of it, linear about segments that are free, is at most twice as large.
+NOT_LINEAR = 4.0
 # Three standard deviations of mean square minus estimated variance of n residuals that are white noise, by the variance
 # and sqrt(n): those of the mean square, sqrt(2), and of third differences, 3.1, which are correlated with it.
 BY_CHANCE = 3.0 * 2.7
@@ -241,8 +244,11 @@ def fitted(scene, log, names=(), workers=None, limits=None, priors=None, held_ou
         bounds = np.stack([first, 0.5 * (first + last), 0.5 * (first + last), last], axis=1).reshape(-1, 2)
 
 
-def _length(fit, point, count=FEW_SEGMENTS):
-    """(Length in s of the longest segments in which the model is near, Solution of a few of them)."""
+def _length(fit, point, count=FEW_SEGMENTS, least=0.0):
+    """(Length in s of the longest segments in which the model is near, Solution of a few of them).
+
+    least : s, length of interest: what is not near in the shortest ones is not in longer ones
+    """
     spans, length, numbers = fit.runs.log.spans, shortest(fit.runs.log), fit.runs.numbers
     most, best = max(last - first for first, last in spans) / count, None
     # A few short segments show some numbers and delays badly: these stay near to what they are.
@@ -252,9 +258,12 @@ def _length(fit, point, count=FEW_SEGMENTS):
     while best is None or 2.0 * best <= most:
         point = in_short_steps(few, continued(few, _some(spans, length, count), point))
         solution = refined(few, few.solve(point, PROBING))
-        if best is not None and not _is_near(few, solution):
+        is_near = _is_near(few, solution)
+        if best is not None and not is_near:
             break
         best, found, point, length = length, solution, solution.point, 2.0 * length
+        if best < least and not is_near:
+            break
     return best, found
 
 
@@ -283,7 +292,7 @@ def _whole(fit, point):
             point = found.point
     except SimulationError:
         return None
-    return found
+    return found if found.growth <= LOST else None
 
 
 def _in_turn(fit, point):
@@ -308,18 +317,38 @@ def tied(fit, found, whole=None):
 
     whole : Solution with which the search began: what is found is not farther from the measurements; None: none
     """
-    point, others = _as_one(fit, found.point), []
-    begins = [point] if fit.growth(found.residuals, found.linear, along=True) <= LOST else []
+    linear, others, near = fit.solution(found.point, found.outputs, found.linear, SLACKS[-1]), [], [found.point]
+    with suppress(SimulationError, SceneError):
+        near.insert(0, fit.stepped(linear))
+    begins = [_as_one(fit, point) for point in near]
     if whole is not None:
-        begins.append(replace(whole.point, bounds=point.bounds, states=whole.point.states[: len(point.bounds)]))
+        states = whole.point.states[: len(begins[0].bounds)]
+        begins.append(replace(whole.point, bounds=begins[0].bounds, states=states))
+    if fit.growth(found.residuals, found.linear, along=True) > LOST:
+        begins = begins[len(near) :]
     for begin in begins:
         with suppress(SimulationError):
             others.append(fit.solve(begin, ROUGHLY, slack=SLACKS[-1]))
             if is_in_reach(fit, others[-1]):
                 return others[-1]
+    if linear.reduced > NOT_LINEAR * _of_reach(fit):  # no run along the log is in reach
+        others += [] if others else _run_from(fit, near[0])
+        if others:
+            return min(others, key=lambda each: each.cost)
     for slack in SLACKS:
         found = fit.solve(found.point, ROUGHLY, found, slack)
     return min([found, *others], key=lambda each: each.cost)
+
+
+def _run_from(fit, point):
+    """[Solution] of the run along each recording from its first start, without a search; none if it fails."""
+    states, machine, late = list(point.states), fit.runs.machine(point.values), np.mean(point.delays)
+    for k, (before, after) in enumerate(zip(point.bounds[:-1], point.bounds[1:])):
+        if before[1] == after[0] and states[k] is not None:
+            states[k + 1] = state_at(machine, before[0] - late, states[k], after[0] - late, point.halves)
+    if any(state is None for state in states):
+        return []
+    return [fit.solution(replace(point, states=tuple(states)), slack=SLACKS[-1], converged=False)]
 
 
 def _as_one(fit, point):
@@ -343,6 +372,17 @@ def _divided(spans, length):
 def _is_near(fit, solution):
     """Whether the model explains the segments, and differences are linear in them."""
     return solution.converged and excess(fit, solution) <= LINEAR and solution.growth <= PARTED
+
+
+def _of_reach(fit):
+    """Largest mean square of weighted residuals that is in reach."""
+    total, count = 0.0, 0
+    for each, sigma in zip(fit.runs.log.measured, fit.deviation):
+        counts = np.isfinite(each.values).sum(axis=0)
+        beyond = LINEAR * np.maximum(each.spread, each.least) / sigma
+        total += counts @ (1.0 + BY_CHANCE / np.sqrt(np.maximum(counts, 1)) + beyond**2)
+        count += counts.sum()
+    return max(NOISY, total / count)
 
 
 def is_in_reach(fit, solution):
@@ -407,22 +447,33 @@ def judged(fit, near, solution):
     found = Comparison(fit, solution, channels, [], [], [], errors, horizons(fit, near, solution), tuple(p_white))
     effects, alone, missing, is_explained = judge.find(found.is_noise)
     # Angles are random, or residuals large: outputs may have another unit.
-    far = scale(partial(_longest, fit.workers), fit) if found.without or found.worst.chi > STRANGE else None
+    far = None
+    if found.without or found.worst.chi > STRANGE:
+        far = scale(partial(_longest, Runs(fit.runs.scene, fit.runs.log, (), fit.runs.longest)), fit)
     if far is not None:  # others are linear about a wrong motion
         effects, alone, is_explained = [far], [far, *alone], True
     return replace(found, effects=effects, alone=alone, missing=missing, is_explained=is_explained)
 
 
-def _longest(workers, scene, log):
-    """(Fit, s, Solution) of the longest run from the start of a log in which the model is near; 0 s: of none."""
-    fit, point = begin(scene, log, (), workers, is_late=False)
-    return fit, *_length(fit, point, 1)
+def _longest(runs, log, least):
+    """(Fit, s, Solution) of the longest run from the start of a log in which the model is near; 0 s: of none.
+
+    runs : Runs of this thread, which go on with the log;  least : s, as of `_length`
+    """
+    runs.use(log.usable)
+    fit, point = _begin(runs, workers=1, is_late=False)
+    return fit, *_length(fit, point, 1, least)
 
 
-def begin(scene, log, names=(), workers=None, limits=None, priors=None, is_late=True):
-    """(Fit, Unknowns to begin with, without segments); arguments as of `fitted`. is_late: whether clocks may be."""
-    log = log.usable
-    runs = Runs(scene, log, names, min(LONGEST, OF_CONTACT * stiffest(scene.forces)[0]))
+def begin(scene, log, names=(), workers=None, limits=None, priors=None):
+    """(Fit, Unknowns to begin with, without segments); arguments as of `fitted`."""
+    longest = min(LONGEST, OF_CONTACT * stiffest(scene.forces)[0])
+    return _begin(Runs(scene, log.usable, names, longest), workers, limits, priors)
+
+
+def _begin(runs, workers=None, limits=None, priors=None, is_late=True):
+    """As `begin`, with Runs. is_late: whether clocks may be."""
+    log = runs.log
     free = [each.delay is None for each in log.measured]
     fit = Fit(runs, [each.noise for each in log.measured], free, limits, priors, workers)
     length, values = shortest(log), np.clip(runs.numbers.values, *fit.limits.T)

@@ -197,6 +197,11 @@ class Fit:
         one = Fit(self.runs, self.deviation, self.free, self.limits, fixed, self.workers, late)
         return one.solve(point, same, near)
 
+    def stepped(self, solution):
+        """Unknowns after a step from a Solution that is not damped. Raises SimulationError, SceneError."""
+        changes, step, *_ = self._step(solution.point, solution.parts, 0.0)
+        return self.moved(solution.point, changes, step)
+
     def linear_of(self, known):
         """Columns of a Solution with the present weights."""
         if known is None:

@@ -38,13 +38,14 @@ def no_direction(fit):
 def scale(longest, fit):
     """Effect of the group of outputs that has another unit, or the opposite sign; None: none.
 
-    longest : function of (scene, log), which returns (Fit, s of the longest run in which the model is near, Solution)
+    longest : function of (log, s of interest), which returns (Fit, s of the longest run in which the model is near,
+              Solution)
     """
     outputs, best = fit.runs.machine(fit.runs.numbers.values).outputs, None
     log = _first(fit.runs.log)
-    least, (first, last) = LONGER * _tried(longest, fit.runs.scene, log)[1], log.spans[0]
+    least, (first, last) = LONGER * _tried(longest, log, 0.0)[1], log.spans[0]
     for t, columns, factor in _candidates(log, outputs) if least <= last - first else ():
-        one, length, solution = _tried(longest, fit.runs.scene, _divided(log, t, columns, factor))
+        one, length, solution = _tried(longest, _divided(log, t, columns, factor), least)
         if length >= least and length > 0.0:
             least = length * (1.0 + 1e-9)
             found = Effects(one, solution).scale(t, columns)
@@ -65,10 +66,10 @@ def _text(measured, columns, units, factor):
     return f"scale of {names} in {measured.name} ({them} to have {found})"
 
 
-def _tried(longest, scene, log):
+def _tried(longest, log, least):
     """(Fit, s of the longest run, Solution) of a Log; 0 s if none is near, or angles show no direction."""
     try:
-        fit, length, solution = longest(scene, log)
+        fit, length, solution = longest(log, least)
     except LieGroupSimError:
         return None, 0.0, None
     return fit, 0.0 if no_direction(fit) else length, solution

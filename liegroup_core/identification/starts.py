@@ -55,9 +55,10 @@ def first_states(runs, bounds, delays=None, values=None):
 
 def alone(runs, values, deviation=None, workers=1):
     """Fit of the starts alone, with numbers (q,); deviation: None: of the measurements."""
-    numbers, log = runs.numbers, runs.log
-    scaled = [replace(each, values=each.values * size) for each, size in zip(log.inputs, numbers.factors(values))]
-    still = Runs(numbers.scene_at(values), replace(log, inputs=tuple(scaled)), (), runs.longest)
+    numbers, log, still = runs.numbers, runs.log, runs
+    if len(numbers):
+        scaled = [replace(each, values=each.values * size) for each, size in zip(log.inputs, numbers.factors(values))]
+        still = Runs(numbers.scene_at(values), replace(log, inputs=tuple(scaled)), (), runs.longest)
     deviation = [each.noise for each in log.measured] if deviation is None else deviation
     return Fit(still, deviation, np.zeros(len(log.measured), dtype=bool), workers=workers)
 
