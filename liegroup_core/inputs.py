@@ -101,7 +101,7 @@ class Inputs:
     def _take_totals(self):
         self.changes += 1
         total, external = self.schedule.total, no_wrenches(self._layout.offsets)
-        for axes in (BODY, IN_WORLD, LEVERS, PULLED):
+        for axes in (BODY, IN_WORLD, LEVERS, PULLED) if self.schedule else ():
             for body in np.flatnonzero(total[axes].any(axis=1)).tolist():
                 set_wrench(external, body, total[axes][body], axes)
         self.acting.set((external, total[SERVO], total[DRIVE]))

@@ -335,7 +335,6 @@ class Machine:
         path.modes, path.angles = np.empty((k, len(self.layout.switches), 5)), np.empty((k, len(work.angle)))
         status = self._along(segment, counts, places, path)
         engine.steps = self.instant(segment.times[-1]).step
-        engine.inputs.clear(engine.base)
         if status == OK and not np.isfinite(path.poses).all():
             status = NOT_FINITE
         if status != OK:
