@@ -20,7 +20,7 @@ class Forced:
     def __call__(self, item):
         kind, of, size = item
         machine, point = self._runs.machine(self._point.values), self._point
-        segments, extras = self._runs.segments(point), None
+        segments, states, extras = self._runs.segments(point), point.states, None
         try:
             if kind == "number":
                 return self._runs.with_number(point, of, size)
@@ -35,7 +35,9 @@ class Forced:
             else:
                 pairs = zip(segments, point.states)
                 extras = [size * self._extra(machine, *pair, kind, of) for pair in pairs]
-            return self._runs.along(machine, segments, point.states, point.halves, extras=extras)
+                # Without a force in a segment its run is as it was.
+                states = [state if extra.any() else None for state, extra in zip(states, extras)]
+            return self._runs.along(machine, segments, states, point.halves, point.states, extras)
         except (SimulationError, SceneError):
             return None
 

@@ -157,7 +157,7 @@ class Machine:
         self._late[0] = SHIFT
         inputs = InputChannels(self.probe, [each.name for each in log.inputs])
         self._wrenches, self._shifts = inputs.changes(0)
-        self.efforts = inputs.efforts
+        self.efforts, self._units = inputs.efforts, {}
         self._targets = self.probe.acting.targets.copy()
         self._kept = np.ones_like(self._targets)
         for k, name in enumerate(inputs.names):  # a target replaces that of the scene
@@ -245,7 +245,9 @@ class Machine:
 
     def effort(self, joint):
         """(n, COLUMNS) change of the external wrenches by a unit effort of a joint."""
-        return InputChannels(self.probe, [f"{joint}.effort"]).changes(0)[0][0]
+        if joint not in self._units:
+            self._units[joint] = InputChannels(self.probe, [f"{joint}.effort"]).changes(0)[0][0]
+        return self._units[joint]
 
     def at(self, state):
         """Sample of a state, from which the Probe continues."""
