@@ -27,8 +27,8 @@ SLACKS = 1.0, 1e-2, 1e-5  # of ties, one after the other
 SHARPER = 1e-2, 1e-3, 1e-4, 1e-5, 0.0
 FEW_SEGMENTS = 4  # of each recording, which show how long segments may be
 LINEAR = 0.01  # of the spread of an output: largest rms that is not noise, for effects to be linear
-# Of the mean square in reach. What is not linear in a run that near is at most as large as the residuals of that run:
-# so what is left of it, linear about segments that are free, is at most twice as large.
+# By the mean square in reach: a run along the log that is linear about free segments leaves more than that only if none
+# is in reach. Of one in reach, effects are linear: at most it is as far again from the linear one, squared.
 NOT_LINEAR = 4.0
 # Three standard deviations of mean square minus estimated variance of n residuals that are white noise, by the variance
 # and sqrt(n): those of the mean square, sqrt(2), and of third differences, 3.1, which are correlated with it.
@@ -332,7 +332,9 @@ def tied(fit, found, whole=None):
             if is_in_reach(fit, others[-1]):
                 return others[-1]
     if linear.reduced > NOT_LINEAR * _of_reach(fit):  # no run along the log is in reach
-        others += [] if others else _run_from(fit, near[0])
+        if not others:
+            with suppress(SimulationError):
+                others += _run_from(fit, near[0])
         if others:
             return min(others, key=lambda each: each.cost)
     for slack in SLACKS:

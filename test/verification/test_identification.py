@@ -47,6 +47,7 @@ def test_what_a_model_lacks_is_named_with_its_size(name, keys, effect, size):
     (own,) = [each for each in found.alone if each.text == effect]
     assert own.value == pytest.approx(size, rel=0.15)
     assert not found.agrees and effect.partition(" of ")[0] in found.verdict.lower()
+    assert len(found.solution.point.bounds) == 1  # no search with segments for a run that none is near to
 
 
 @pytest.mark.parametrize("name", ["furuta", "four_bar"])
@@ -162,6 +163,16 @@ def test_a_result_does_not_depend_on_the_number_of_workers():
         parts = fit.solution(continued(fit, np.array([[0.1, 0.2], [0.2, 0.4]]), point)).linear
         columns.append([each.tobytes() for part in parts for each in (part.own, part.shared)])
     assert columns[0] == columns[1]
+
+
+def test_growth_through_segments_is_that_of_one_run():
+    """Columns have a relative error of 1e-8 times the growth, here six."""
+    log = timed(log_of(machine("double"), "double", 3, **SHORT))
+    fit, point = begin(machine("double"), log, workers=1)
+    one = continued(fit, np.array([[0.1, 1.0]]), point)
+    found = fit.solution(continued(fit, np.array([[0.1, 0.4], [0.4, 0.7], [0.7, 1.0]]), one))
+    along = fit.growth(found.residuals, found.linear, along=True)
+    assert along > found.growth and along == pytest.approx(fit.run_growth(one), rel=1e-6)
 
 
 def test_a_channel_without_noise_and_motion_says_nothing():
