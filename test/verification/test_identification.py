@@ -166,13 +166,13 @@ def test_a_result_does_not_depend_on_the_number_of_workers():
 
 
 def test_growth_through_segments_is_that_of_one_run():
-    """Columns have a relative error of 1e-8 times the growth, here six."""
+    """Starts of segments divide two steps of 8 ms anew: rates are below 15 1/s, and (0.008 * 15)^5 is 2.5e-5."""
     log = timed(log_of(machine("double"), "double", 3, **SHORT))
     fit, point = begin(machine("double"), log, workers=1)
     one = continued(fit, np.array([[0.1, 1.0]]), point)
     found = fit.solution(continued(fit, np.array([[0.1, 0.4], [0.4, 0.7], [0.7, 1.0]]), one))
     along = fit.growth(found.residuals, found.linear, along=True)
-    assert along > found.growth and along == pytest.approx(fit.run_growth(one), rel=1e-6)
+    assert along > found.growth and along == pytest.approx(fit.run_growth(one), rel=5e-5)
 
 
 def test_a_channel_without_noise_and_motion_says_nothing():
