@@ -317,15 +317,14 @@ def tied(fit, found, whole=None):
 
     whole : Solution with which the search began: what is found is not farther from the measurements; None: none
     """
-    linear, others, near = fit.solution(found.point, found.outputs, found.linear, SLACKS[-1]), [], [found.point]
-    with suppress(SimulationError, SceneError):
-        near.insert(0, fit.stepped(linear))
-    begins = [_as_one(fit, point) for point in near]
+    linear, others, point = fit.solution(found.point, found.outputs, found.linear, SLACKS[-1]), [], found.point
+    one, is_lost = _as_one(fit, point), fit.growth(found.residuals, found.linear, along=True) > LOST
+    begins = [] if is_lost else [one]
     if whole is not None:
-        states = whole.point.states[: len(begins[0].bounds)]
-        begins.append(replace(whole.point, bounds=begins[0].bounds, states=states))
-    if fit.growth(found.residuals, found.linear, along=True) > LOST:
-        begins = begins[len(near) :]
+        begins.append(replace(whole.point, bounds=one.bounds, states=whole.point.states[: len(one.bounds)]))
+    with suppress(SimulationError, SceneError):
+        point = fit.stepped(linear)
+        begins += [] if is_lost else [_as_one(fit, point)]
     for begin in begins:
         with suppress(SimulationError):
             others.append(fit.solve(begin, ROUGHLY, slack=SLACKS[-1]))
@@ -334,7 +333,7 @@ def tied(fit, found, whole=None):
     if linear.reduced > NOT_LINEAR * _of_reach(fit):  # no run along the log is in reach
         if not others:
             with suppress(SimulationError):
-                others += _run_from(fit, near[0])
+                others += _run_from(fit, point)
         if others:
             return min(others, key=lambda each: each.cost)
     for slack in SLACKS:
