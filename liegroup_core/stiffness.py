@@ -10,7 +10,8 @@ nothing else changes.
 
 A trial ends as soon as it costs more than it could save. The cost of the steps then follows from the last substep,
 because substeps grow after a start. The next trial follows when the run has cost as much as both trials, because
-the start of a motion says little about the rest; later ones wait for up to WAIT times that.
+the start of a motion says little about the rest; later ones wait for up to WAIT times that, and are as much longer:
+in a short one an implicit method has hardly grown its substeps.
 Cost counts evaluations of the accelerations, not time, so that a repeated run is bit-identical.
 """
 
@@ -99,7 +100,7 @@ class MethodChoice:
         self._waiting -= theirs
         alone = ALIKE * theirs <= ours <= self._running.ratio * theirs  # tolerances alone limit the explicit method
         if self._waiting <= 0.0 and (not alone or self._integrators[0].chosen == IMPLICIT):
-            self._choose(max(1, math.ceil(TRIAL * steps / theirs)) if theirs else 1)
+            self._choose(max(1, math.ceil(TRIAL * self._wait * steps / theirs)) if theirs else 1)
         self._count()
 
     def _choose(self, steps):
