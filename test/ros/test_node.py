@@ -186,6 +186,9 @@ WRONG_WRENCHES = [
 
 def test_invalid_wrenches_are_refused_counted_and_logged_once(client, node):
     node.reach(client, "pause")
+    # The last figures may be older than what was refused before; the first of two new ones may be under way.
+    count = len(node.diagnostics)
+    client.until(lambda: len(node.diagnostics) > count + 1, "figures")
     logged, expected = len(node.logged), {}
     for reason, frame, force, stamp, _ in WRONG_WRENCHES:
         key = f"wrenches_refused_{reason}"
