@@ -36,8 +36,9 @@ log = logging.getLogger("liegroup_core")
 # Statuses that fast motion may cause.
 FAST = {ROTATION_TOO_LARGE, TURNS_NOT_COUNTED, NOT_CONVERGED, SUBSTEP_TOO_SMALL, TOO_MANY_SUBSTEPS, NOT_FINITE}
 PATIENCE = 0.5  # s of CPU time
-STEPS_OF_EVENT = 10  # steps of the method that find the time of an event, about
+STEPS_OF_EVENT = 5  # steps of the method that find the time of an event, about
 FEW = 4  # substeps in a step
+OF_CONTACTS = "contacts cost less with less stiffness, more damping, a longer slip, or fewer points"
 # Steps after the last valid one at which a driven joint may be beyond the reach of its loop.
 STEPS_AHEAD = (1, 2, 4)
 
@@ -159,7 +160,9 @@ def _cause_of_cost(engine):
         names = [switch.name for switch in joints] + owners_of_kinks(engine.layout.centred.forces)
         most = np.argsort(-tally, kind="stable")[:3]
         shown = ", ".join(f"{names[k]} ({tally[k]})" for k in most if tally[k])
-        if most[0] >= len(joints):
+        if names[most[0]] in engine.layout.touching.names:
+            advice = OF_CONTACTS
+        elif most[0] >= len(joints):
             advice = "a law that jumps back and forth needs a smooth change, such as tanh, or friction of the joint"
         else:
             advice = (
@@ -169,8 +172,11 @@ def _cause_of_cost(engine):
         return f"{tally.sum()} events, most at {shown}; {advice}"
     stiff = [note for note in engine.scene.notes if note.startswith("stiff:")]
     if attempted > FEW * steps:
-        fewer = "a coarser accuracy" if _to_accuracy(engine) else "a larger tolerance"
-        text = f"a step of {engine.step:g} s has {attempted / steps:.3g} substeps; {fewer} has fewer"
+        text = f"a step of {engine.step:g} s has {attempted / steps:.3g} substeps; "
+        if engine.layout.touching.names:
+            text += OF_CONTACTS
+        else:
+            text += f"{'a coarser accuracy' if _to_accuracy(engine) else 'a larger tolerance'} has fewer"
         return "; ".join([text, *stiff])
     return f"{len(engine.scene.bodies)} bodies with steps of {engine.step:g} s; larger steps cost less"
 
