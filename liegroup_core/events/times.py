@@ -128,7 +128,7 @@ class EventTimes(ModeChanges):
                 ends.append((end * place, math.nan, end, k, c))
         tau, crossed = size, np.zeros(places.shape, dtype=bool)
         for expected, slope, end, k, c in sorted(ends):
-            later, is_known = tau + self.same_time, slope < 0.0
+            later, is_seen = tau + self.same_time, not math.isnan(slope)  # the stages have seen a zero
             if crossed.any():
                 if guard(tau, k, c) > 0.0 and expected - tau > APART * self.same_time:
                     continue  # its zero is later, by interpolation
@@ -141,12 +141,12 @@ class EventTimes(ModeChanges):
                 continue
             try:
                 at = None
-                if is_known and end == size and self._is_bend(k):
+                if slope < 0.0 and end == size and self._is_bend(k):
                     at = self._soon_after(guard, expected, slope, size, k, c)
-                if at is None and is_known and not guard(end, k, c) < 0.0:
+                if at is None and is_seen and not guard(end, k, c) < 0.0:
                     continue
                 if at is None:
-                    at = self._zero(guard, gap, end, TIME_PART * size, k, c, expected if is_known else math.nan)
+                    at = self._zero(guard, gap, end, TIME_PART * size, k, c, expected if is_seen else math.nan)
             except ValueError:  # a guard is none where a trial failed
                 if not failed:
                     raise
