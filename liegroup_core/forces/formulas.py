@@ -87,9 +87,8 @@ ORDERS = {ast.Lt: LESS, ast.LtE: LESS_EQUAL, ast.Gt: MORE, ast.GtE: MORE_EQUAL}
 BINARY = {ast.Add: ADD, ast.Sub: SUBTRACT, ast.Mult: MULTIPLY, ast.Div: DIVIDE, ast.Pow: POWER}
 LONGEST = 2000  # characters of a formula
 DEEPEST = 200  # levels of its tree
-# Of all formulas of a scene: 2 s to load. 2000 points of contact have 4000 states, of which an implicit method has five
-# full matrices, 1 GB.
-MOST_INSTRUCTIONS = 100_000
+# Of all formulas of a scene: 8 s to load. 2000 points of contact have 4000 states.
+MOST_INSTRUCTIONS = 200_000
 MOST_FACTORS = 16  # of a power that is computed by products
 _LARGEST_EXPONENT = 709.78  # exp of more exceeds the largest number
 COMPARISONS = (LESS, LESS_EQUAL, MORE, MORE_EQUAL)
@@ -163,7 +162,7 @@ class Program:
             if self._others + len(self.code) >= MOST_INSTRUCTIONS:
                 raise FormulaError(
                     f"the laws and contacts of a scene must have at most {MOST_INSTRUCTIONS} operations, of which a "
-                    "point of contact takes some 50: omit some, such as all but the feet by links of ground"
+                    "point of contact takes some 100: omit some, such as all but the feet by links of ground"
                 )
             self._known[key] = to = self.new()
             if operation in COMPARISONS:
