@@ -197,6 +197,8 @@ class EventTimes(ModeChanges):
         if not (begin > 0.0 > end and np.isfinite(values[used]).all()):
             return math.nan, math.nan
         polynomial = COEFFICIENTS @ [begin, *(weights[:, used] @ values[used]), end]
+        if not np.polyval(polynomial, 0.0) > 0.0 > np.polyval(polynomial, 1.0):  # at its ends there is round-off
+            return math.nan, math.nan
         place = scipy.optimize.brentq(lambda s: np.polyval(polynomial, s), 0.0, 1.0, xtol=TIME_PART)
         return place, float(np.polyval(np.polyder(polynomial), place))
 

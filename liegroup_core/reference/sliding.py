@@ -121,7 +121,9 @@ class Surfaces:
                 def height(u, own=coefficients[:, k]):
                     return legendre.legval(2.0 * u - 1.0, own)
 
-                part = GRID[i] if height(GRID[i]) <= 0.0 else brentq(height, GRID[i], GRID[i + 1], xtol=1e-16)
+                part = GRID[i] if height(GRID[i]) <= 0.0 else GRID[i + 1]
+                if height(GRID[i]) > 0.0 > height(part):  # not by round-off alone
+                    part = brentq(height, GRID[i], part, xtol=1e-16)
                 if part < first - TOGETHER:
                     numbers = []
                 if part < first + TOGETHER:
