@@ -109,6 +109,29 @@ def note_guards(model, work, row):
 
 
 @kernel
+def forget_dips(work):
+    """Begin a substep: no guard was seen below zero."""
+    for k in range(len(work.guards)):
+        for c in range(2):
+            work.dips[k, c, 0] = NONE
+
+
+@kernel
+def note_dips(model, work, place):
+    """Note the guards of branches that are negative at a stage of which no values are kept, a fraction of the step.
+
+    So what is short and soon after an event, where the stages lie close together, is not overlooked.
+    """
+    laws, switches = model.space.forces.laws, len(model.switches)
+    for k in range(len(work.branches)):
+        if work.branches[k] != OPEN:
+            ends = distances_in(laws, work.branches[k], work.registers, k)
+            for c in range(2):
+                if ends[c] < 0.0 and work.dips[switches + k, c, 0] == NONE:
+                    work.dips[switches + k, c, 0], work.dips[switches + k, c, 1] = place, ends[c]
+
+
+@kernel
 def _matters(model, work, k, c, way, h):
     """Whether the branch k beyond its end c differs from the next one by more than Work.least, or others follow.
 
@@ -365,6 +388,8 @@ def crossed(model, work, h, weights):
             place, way = 1.0, work.guards[row, c] - start
             if not way < 0.0:
                 place, way = _gives_way(weights, work.course, row, c, start)
+                if place == NONE and start == 0.0 and work.dips[row, c - LEAST, 0] > 0.0:
+                    place, way = work.dips[row, c - LEAST, 0], work.dips[row, c - LEAST, 1]
             if place != NONE and not _matters(model, work, k, c, way, h):
                 again = again or place == 1.0
                 place = IDLE if place == 1.0 else NONE

@@ -287,6 +287,7 @@ class RelativeWork(Struct):
     least: np.ndarray = shaped(1)  # a smaller effect of a change, relative to all forces and to states, is no event
     guards: np.ndarray = shaped("guards", 5)  # distance of each switch, then of each branch, to its next events
     course: np.ndarray = shaped(NODES, "guards", 2)  # the last two guards at some stages: see events/crossings.py
+    dips: np.ndarray = shaped("guards", 2, 2)  # of the same: first stage, as a fraction of the step, that is below zero
     crossed: np.ndarray = shaped("guards", 5)  # fraction of the step by which each event has occurred, or -1
     watch: np.ndarray = shaped(3)  # WATCHED, BEGIN, SPAN
     pace: np.ndarray = shaped(1)  # s, longest substep: see crossings.is_too_long

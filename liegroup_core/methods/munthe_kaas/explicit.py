@@ -66,6 +66,8 @@ def substep(scheme, model, work, size, start, elapsed, first, last, pose, extern
     noting = steps.notes(work)
     # Accelerations at the end are needed for events, for the next substep unless the end is projected, and
     # for estimates that have a weight for them.
+    if noting:
+        steps.forget_dips(work)
     ending = noting or controlled and not model.projects
     for row in range(len(scheme.error)):
         ending = ending or scheme.error[row, stages] != 0.0
@@ -87,4 +89,6 @@ def substep(scheme, model, work, size, start, elapsed, first, last, pose, extern
             steps.store_slopes(model, work, scheme, stage)
             if noting and last == stages + 1:
                 steps.note_stage(model, work, scheme, stage)
+                if scheme.rows[stage] < 0 and stage < stages:
+                    steps.note_dips(model, work, scheme.nodes[stage])
     return OK

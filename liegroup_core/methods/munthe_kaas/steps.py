@@ -21,6 +21,8 @@ from liegroup_core.dynamics.state import leave as leave
 from liegroup_core.dynamics.state import place as place
 from liegroup_core.dynamics.switches import count_coordinates, set_rates, too_fast
 from liegroup_core.events.crossings import CALM, CROSSED, begin_at_end, crossed, note_guards
+from liegroup_core.events.crossings import forget_dips as forget_dips
+from liegroup_core.events.crossings import note_dips as note_dips
 from liegroup_core.lie.vec3 import dot3, load3, load_column, store3, store_column
 from liegroup_core.mechanism.arrays import BEGIN, SPAN, WATCHED
 from liegroup_core.mechanism.bodies import STEP_TURN
