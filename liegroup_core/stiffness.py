@@ -33,6 +33,7 @@ ALIKE = 1.25
 SEEN, TRIAL = 1000.0, 240.0
 WORTH, WAIT = 0.7, 16.0  # fraction of the present cost below which a change pays
 MOST = 12_000.0  # evaluations in a trial
+PART = 1e-3  # of the steps of a trial: with less, its last substep is one of the start, and says nothing about the rest
 
 
 class MethodChoice:
@@ -117,7 +118,7 @@ class MethodChoice:
     def _cost(self, number, most, steps):
         """Evaluations that steps of the companion take with a method, from the first `most` of them.
 
-        inf if no substep is accepted, or the method fails.
+        inf if it has taken less than PART of them, or the method fails.
         """
         integrator, before, begun = self._integrators[1], self._spent[1], self._companion.steps
         chosen, passes, kept = integrator.chosen, integrator.passes, self._companion.snapshot()
@@ -135,4 +136,4 @@ class MethodChoice:
             integrator.passes = passes
             self._companion.restore(kept)
             self._companion.choose(chosen)
-        return (self._spent[1] - before) / part if part > 0.0 else math.inf
+        return (self._spent[1] - before) / part if part > PART else math.inf
