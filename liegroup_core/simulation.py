@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from liegroup_core.accuracy import METHOD, AccuracyControl
 from liegroup_core.engine import Engine
+from liegroup_core.errors import SimulationError
 from liegroup_core.fields.arguments import got
 from liegroup_core.forces.instants import NEVER
 from liegroup_core.layout import make_layout
@@ -344,7 +345,7 @@ class Simulation(Engine):
             self._control.find_first(self.step, running.error_ahead)
         while self.steps < until.step:
             stop = running.next_stop(self.steps, until.step)
-            super()._go(self._grid.boundary(stop), enough)
+            self._go_on(self._grid.boundary(stop), enough)
             if self.steps < stop:
                 return
             count = running.estimate.checkpoints
@@ -360,6 +361,15 @@ class Simulation(Engine):
             if self.steps < until.step and (self._halted or (enough is not None and enough())):
                 return
         if self.now < until:
+            self._go_on(until, enough)
+
+    def _go_on(self, until, enough):
+        """Advance to an Instant; an implicit method that was chosen and fails is left for the explicit one."""
+        try:
+            super()._go(until, enough)
+        except SimulationError:
+            if self._choice is None or not self._choice.leave():
+                raise
             super()._go(until, enough)
 
     def _exceeded_between(self):

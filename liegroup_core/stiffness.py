@@ -104,13 +104,24 @@ class MethodChoice:
             self._choose(max(1, math.ceil(TRIAL * self._wait * steps / theirs)) if theirs else 1)
         self._count()
 
+    def leave(self):
+        """Continue with the explicit method, as the implicit one fails; returns whether that was the present one."""
+        if self._integrators[0].chosen == EXPLICIT:
+            return False
+        self._take(EXPLICIT)
+        self._continue()
+        return True
+
+    def _take(self, number):
+        self._engine.choose(number)
+        self._companion.choose(number)
+
     def _choose(self, steps):
         """Try both methods for some steps from the present state on, and continue with the cheaper one."""
         before, chosen = self._spent[1], self._integrators[0].chosen
         present = self._cost(chosen, MOST, steps)
         if self._cost(1 - chosen, min(MOST, WORTH * present), steps) < WORTH * present:
-            self._engine.choose(1 - chosen)
-            self._companion.choose(1 - chosen)
+            self._take(1 - chosen)
         self._waiting = self._wait * (self._spent[1] - before)
         self._wait = min(WAIT, 2.0 * self._wait)
         self._continue()
