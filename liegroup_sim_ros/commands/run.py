@@ -238,13 +238,14 @@ def _events_of(simulation):
         found = f", {counted(simulation.event_count, 'event')} at joints"
     if not contacts:
         return found
+    press = int(np.isfinite(simulation.sample().touching[:, 0]).sum())
     if not METHODS[simulation.method].controlled:
-        return f"{found}, events of contacts unknown with fixed steps"
+        return f"{found}, events of contacts unknown with fixed steps, {press} press at the end"
     kinds = Counter(event.kind for event in simulation.drain_events() if event.joint in contacts)
     contact = "contact" if len(contacts) == 1 else f"{len(contacts)} contacts"
     named = (("touch", "touch", "touches"), ("leave", "leaving", "leavings"), ("slip", "slip", "slips"))
     counts = (f"{kinds[kind]} {one if kinds[kind] == 1 else many}" for kind, one, many in named)
-    return f"{found}, {', '.join(counts)} of {contact}"
+    return f"{found}, {', '.join(counts)} of {contact}, {press} press at the end"
 
 
 def _error_of(simulation):

@@ -306,8 +306,8 @@ def test_events_are_encoded_like_ros_strings(name, text):
 @pytest.mark.parametrize(
     ("settings", "said"),
     [
-        ((), "2 touches, 2 leavings, 0 slips of contact"),
-        (("--method", "rkmk4"), "events of contacts unknown with fixed"),
+        ((), "2 touches, 2 leavings, 0 slips of contact, 0 press at the end"),
+        (("--method", "rkmk4"), "events of contacts unknown with fixed steps, 0 press at the end"),
     ],
 )
 def test_the_summary_of_a_run_has_the_events_of_contacts(tmp_path, capsys, settings, said):
