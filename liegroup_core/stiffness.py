@@ -28,9 +28,9 @@ DEAR, FIRST = 1000.0, 4
 # If tolerances limit it, the ratio is that of the substeps, 1.5, or less, as the companion rejects more; if stability
 # does, about 1. Where a stiff motion follows another one, between both, the order is lower and the ratio above 1.5.
 ALIKE = 1.25
-# Least evaluations of the companion of which the ratio is taken: then it differs by a tenth between two times. And in
-# a trial: a substep more or less changes them by a twentieth.
-SEEN, TRIAL = 1000.0, 240.0
+# Least evaluations of the companion of which the ratio is taken: then it differs by a tenth between two times, which
+# UNLIKE allows. And in a trial: a substep more or less changes them by a twentieth.
+SEEN, UNLIKE, TRIAL = 1000.0, 1.1, 240.0
 WORTH, WAIT = 0.7, 16.0  # fraction of the present cost below which a change pays
 MOST = 12_000.0  # evaluations in a trial
 PART = 1e-3  # of the steps of a trial: with less, its last substep is one of the start, and says nothing about the rest
@@ -99,7 +99,8 @@ class MethodChoice:
         if theirs < SEEN and self._integrators[0].chosen == EXPLICIT:
             return  # by then a substep more or less matters
         self._waiting -= theirs
-        alone = ALIKE * theirs <= ours <= self._running.ratio * theirs  # tolerances alone limit the explicit method
+        most = UNLIKE * self._running.ratio  # up to which tolerances alone limit the explicit method
+        alone = ALIKE * theirs <= ours <= most * theirs
         if self._waiting <= 0.0 and (not alone or self._integrators[0].chosen == IMPLICIT):
             self._choose(max(1, math.ceil(TRIAL * self._wait * steps / theirs)) if theirs else 1)
         self._count()
