@@ -59,6 +59,8 @@ MOST_POINTS = 64  # of a hull
 STANDING = 1e-9  # a cylinder that leans less stands: its four points of a rim do not turn to the lowest one
 LIGHT = 0.03  # of the load: n below. A point that slides and hardly presses yields by 3 % of s, not by nothing
 ROUND = ("sphere", "capsule")
+PULLS = -1.0, 0.5, 2.0  # fractions of an axis, see `_touch_each_other`
+LEAST_PART = 1e-9  # of an axis: two points that are one have shares all the same
 SHORT = 1e-3  # of a radius; at least the depth under the load, see `_touch_each_other`
 # Of the thickness of two bodies, or of the distance of a point from the origin of its body: how far they move in a step
 # while they are near. Bodies pass in a distance p along sqrt(p^2 + x^2), and points turn along r cos(x / r), whose
@@ -160,7 +162,7 @@ class Contact(Force):
     plane: Plane = Field(Plane(), description="what it touches: a plane of the world; default: z = 0")
     other: Text | None = Field(None, description="name of another body that it touches, in place of plane")
     other_shape: AnyShape | None = Field(None, description="the shape of that body; default: its own")
-    stiffness: Positive | None = Field(None, description="k of each point of contact, N/m")
+    stiffness: Positive | None = Field(None, description="k in N/m of a point on a plane, or of two bodies")
     damping: NotNegative | None = Field(None, description="c, s/m: the force is k d (1 + c d') at the depth d")
     sinks: Positive | None = Field(None, description="in place of stiffness: depth in m of a point under `load`")
     load: Positive | None = Field(None, description="N; default: the weight of all bodies of the scene")
@@ -538,7 +540,8 @@ class _Formulas:
     @property
     def law(self):
         """The Law. What others can read: the sum of normal forces in N, the largest depth in m, the work in J."""
-        deepest = self.depths[0] if len(self.depths) == 1 else f"max({', '.join(self.depths)})"
+        depths = list(dict.fromkeys(self.depths))
+        deepest = depths[0] if len(depths) == 1 else f"max({', '.join(depths)})"
         shown = {"normal_force": _plus(*self.normals), "depth": deepest}
         power = _plus(*self._powers)
         if self._near:
@@ -616,23 +619,25 @@ class _Formulas:
         """Note how far a point of a body, `reach` from its origin, may turn in a step while it is near a plane, m."""
         self.closing.append((depth, (body, None), (reach, 0.0), LOOK * reach))
 
-    def press(self, depth, leaving, slips, axes, part=1.0):
+    def press(self, depth, leaving, slips, axes, part=1.0, presses=""):
         """Force of a point of contact, world axes.
 
         depth, leaving : m, and the speed in m/s with which it becomes smaller; slips : m/s, along the axes (k, 3)
         axes : the normal, then two tangents; or None in place of these, for the world's axes
-        part : change of the depth by one of the point along the normal
+        part : change of the depth by one of the point along the normal; of two points that share it, with the share
+        presses : condition beside that of the depth
         """
-        force = self.push(depth, leaving, part)
+        force = self.push(depth, leaving, part, presses)
         drags = self.rub(force, slips, axes)
         across = drags if axes[1] is None else _sum(*map(_scaled, drags, axes[1]))
         return _sum(_scaled(force, axes[0]), across) if drags else _scaled(force, axes[0])
 
-    def push(self, depth, leaving, part=1.0):
+    def push(self, depth, leaving, part=1.0, presses=""):
         """Name of the normal force of a point, see `press`."""
         depth, leaving = self.let(depth), self.let(leaving)
         self.depths.append(depth)
-        self._pushes = pushes = f"{self._near}{depth} > 0 and damping*{leaving} < 1"
+        presses = presses and f" and {presses}"
+        self._pushes = pushes = f"{self._near}{depth} > 0{presses} and damping*{leaving} < 1"
         force = self.let(f"{_times(f'(stiffness*{depth}*(1 - damping*{leaving}))', part)} if {pushes} else 0")
         self._powers.append(self._if_pushing(_times(force, leaving)))
         return force
@@ -798,38 +803,53 @@ def _touch_with_rim(found, body, shape, end, axes, height):
 
 
 def _nearest(found, bodies, shapes, barrel):
-    """[(point of the axis of one body, of the other body, `more`)] for `_touch_at`, see `_touch_each_other`."""
+    """Nearest points of the axes of two round bodies, for `_touch_at`: see `_touch_each_other`.
+
+    returns {"mine": [point of the axis of one body], "theirs": point of the other}, with two points also what
+    `_line` gives
+    """
     first, second = ([found.place(body, end) for end in _skeleton(shape)] for body, shape in zip(bodies, shapes))
     if len(first) == len(second) == 1:
-        return [(first[0], second[0], 0.0)]
+        return {"mine": first, "theirs": second[0]}
     along = [_difference(ends[-1], ends[0]) for ends in (first, second)]
     along = [[found.let(each) for each in vector] for vector in along]
     apart = [found.let(each) for each in _difference(first[0], second[0])]
     a, b, e = (found.let(_dot(x, y)) for x, y in ((along[0], along[0]), (along[0], along[1]), (along[1], along[1])))
     c, f = (found.let(_dot(vector, apart)) for vector in along)
-    if len(second) == 1:
-        pairs = [(_clip(f"(-{c}/{a})", 0.0, 1.0), 0.0, 0.0)]
-    elif len(first) == 1:
-        pairs = [(0.0, _clip(f"({f}/{e})", 0.0, 1.0), 0.0)]
-    else:  # Ericson, Real-Time Collision Detection, 5.1.9, of a sum of squares that has one minimum: also if parallel
-        pairs, a = [], found.let(_plus(a, barrel))
-        for end in (0.0, 1.0):
-            shifted = found.let(_plus(c, barrel * (1.0 - 3.0 * end)))
-            s = _clip(f"(({b}*{f} - {shifted}*{e})/({a}*{e} - {b}*{b}))", 0.0, 1.0)
-            t = found.let(_clip(f"(({b}*{found.let(s)} + {f})/{e})", 0.0, 1.0))
-            s = found.let(_clip(f"(({b}*{t} - {shifted})/{a})", 0.0, 1.0))
-            pairs.append((s, t, _more(barrel, s, end)))
 
     def at(ends, part, vector):
         return [found.let(each) for each in _sum(ends[0], _scaled(found.let(part), vector))]
 
-    return [(at(first, s, along[0]), at(second, t, along[1]), more) for s, t, more in pairs]
+    if len(second) == 1:
+        return {"mine": [at(first, _clip(f"(-{c}/{a})", 0.0, 1.0), along[0])], "theirs": second[0]}
+    if len(first) == 1:
+        return {"mine": first, "theirs": at(second, _clip(f"({f}/{e})", 0.0, 1.0), along[1])}
+    # Ericson, Real-Time Collision Detection, 5.1.9, of a sum of squares that has one minimum: also if parallel.
+    parts, a = [], found.let(_plus(a, barrel))
+    for pull in PULLS:
+        shifted = found.let(_plus(c, -pull * barrel))
+        s = _clip(f"(({b}*{f} - {shifted}*{e})/({a}*{e} - {b}*{b}))", 0.0, 1.0)
+        t = found.let(_clip(f"(({b}*{found.let(s)} + {f})/{e})", 0.0, 1.0))
+        free = found.let(f"({b}*{t} - {shifted})/{a}")
+        parts.append((found.let(_clip(free, 0.0, 1.0)), t, free))
+    (begin, *_), (s, t, free), (end, *_) = parts
+    line = _line(found, barrel, (begin, s, end), (f"{free} < 1", f"{free} > 0"))
+    return {"mine": [at(first, each, along[0]) for each in (begin, end)], "theirs": at(second, t, along[1])} | (
+        line | {"own": at(first, s, along[0])}
+    )
 
 
-def _more(barrel, s, end):
-    """What is added to the squared distance of a point of an axis, m^2, see `_touch_each_other`."""
-    away = f"({end} - {s})" if end else s
-    return f"({barrel!r}*{away}*(2 + {away}))"
+def _line(found, barrel, parts, presses):
+    """What an axis with two points adds for `_touch_at`.
+
+    parts : (first, middle, last), where they and what is nearest between them are;  presses : conditions that they do
+    """
+    begin, s, end = parts
+    share = found.let(f"({end} - {s} + {LEAST_PART!r}*(1 - {s}))/({end} - {begin} + {LEAST_PART!r})")
+    return {
+        "more": f"({barrel!r}*({s} - {PULLS[1]!r})**2)",
+        "shares": [(share, presses[0]), (found.let(f"1 - {share}"), presses[1])],
+    }
 
 
 def _skeleton(shape):
@@ -849,14 +869,14 @@ def _in_box(found, bodies, shapes):
 
 
 def _nearest_to_box(found, bodies, shapes, barrel):
-    """[(point of the axis of a sphere or a capsule, nearest point of the box, `more`, `inside`)] for `_touch_at`.
+    """As `_nearest`, of the axis of a sphere or a capsule and of a box; with the condition that it is in the box.
 
     The derivative of the sum in `_touch_each_other` is linear between the places where the axis crosses the planes of
     the faces.
     """
     axes, ends, middle = _in_box(found, bodies, shapes)
     halves = [0.5 * size for size in shapes[1].size]
-    points = [(ends[0], 0.0)]
+    own, line, mine = ends[0], {}, ends[:1]
     if len(ends) == 2:
         along = [found.let(each) for each in _difference(ends[1], ends[0])]
 
@@ -874,44 +894,50 @@ def _nearest_to_box(found, bodies, shapes, barrel):
             for face in (-half, half):
                 crossing = f"(({face!r} - {begin})/{rate} if abs({rate}) > {least!r} else 0)"
                 breaks.append(found.let(_clip(crossing, 0.0, 1.0)))
-        slopes, points = [slope(s) for s in breaks], []
-        for end in (0.0, 1.0):
-            own = [found.let(f"{g} + {barrel!r}*({s} + {1.0 - 3.0 * end})") for g, s in zip(slopes, breaks)]
-            before = [found.let(f"{each} < 0") for each in own]
+        slopes, parts = [slope(s) for s in breaks], []
+        for pull in PULLS:
+            rates = [found.let(f"{g} + {barrel!r}*({s} - {pull})") for g, s in zip(slopes, breaks)]
+            before = [found.let(f"{each} < 0") for each in rates]
             s, g = (
                 (
                     found.let(f"max({', '.join(f'{x} if {c} else {v[0]}' for x, c in zip(v, before))})"),
                     found.let(f"min({', '.join(f'{v[1]} if {c} else {x}' for x, c in zip(v, before))})"),
                 )
-                for v in (breaks, own)
+                for v in (breaks, rates)
             )
             s = found.let(f"{s[0]} - ({s[1]} - {s[0]})*{g[0]}/({g[1]} - {g[0]} + {1e-12 * barrel!r})")
-            points.append((at(s), _more(barrel, s, end)))
-    pairs = []
-    for point, more in points:
-        beyond = [found.let(f"abs({each}) - {half!r}") for each, half in zip(point, halves)]
-        most = found.let(f"max({', '.join(beyond)})")
-        inside, nearest = found.let(f"{most} < 0"), []
-        for each, half, own in zip(point, halves, beyond):
-            face = f"({half!r} if {each} > 0 else {-half!r})"
-            nearest.append(found.let(f"{face} if {inside} and {own} >= {most} else {_clip(each, -half, half)}"))
-        both = (_sum(middle, *map(_scaled, each, axes)) for each in (point, nearest))
-        pairs.append((*([found.let(each) for each in place] for place in both), more, inside))
-    return pairs
+            parts.append((s, rates[:2]))
+        (first, _), (s, (low, high)), (last, _) = parts
+        line = _line(found, barrel, (first, s, last), (f"{high} > 0", f"{low} < 0"))
+        own, mine = at(s), [at(first), at(last)]
+    beyond = [found.let(f"abs({each}) - {half!r}") for each, half in zip(own, halves)]
+    most = found.let(f"max({', '.join(beyond)})")
+    inside, nearest = found.let(f"{most} < 0"), []
+    for each, half, outside in zip(own, halves, beyond):
+        face = f"({half!r} if {each} > 0 else {-half!r})"
+        nearest.append(found.let(f"{face} if {inside} and {outside} >= {most} else {_clip(each, -half, half)}"))
+
+    def in_world(point):
+        return [found.let(each) for each in _sum(middle, *map(_scaled, point, axes))]
+
+    return {"mine": [in_world(each) for each in mine], "theirs": in_world(nearest), "inside": inside} | (
+        line and line | {"own": in_world(own)}
+    )
 
 
 def _touch_each_other(found, bodies, shapes, short):
-    """Contact of two bodies; a capsule has two points.
+    """Contact of two bodies.
 
-    Its points are those of its axis, at fractions s, where f(s) + b (2 |s - e| + (s - e)^2) is least, with the squared
-    distance f, for both ends e: those of an axis along the other body are its ends, of others the nearest point. This
-    sum is strictly convex, as f is convex, so its minimum moves with the bodies without jumps, and no change of the
-    part of f in which it is has to be an event. The force is the gradient of the minimum, so that nothing but damping
-    and friction takes energy. It depends on the angle at which two axes cross, as that of elastic bodies does, by an
-    amount of order b^2: so it turns them about the normal, and capsules that meet at their middles at an angle spin
-    after an impact, with energy that their speeds lack. With b = 0.8 short times the sum of the radii, points are the
-    ends up to a lean by 0.8 short along the axis, and a point at its middle is deeper by short / 2 than one alone would
-    be.
+    The point of an axis that is nearest jumps where the axis lies along the other body. So what acts is the fraction s
+    where f(s) + b (s - 1/2)^2 is least, with the squared distance f: this sum is strictly convex, as f is convex, so
+    that s moves with the bodies without jumps, and no change of the part of f in which it is has to be an event. The
+    force is the gradient of the minimum, so that nothing but damping and friction takes energy. With b = 0.8 short
+    times the sum of the radii, s is at an end from a lean of 0.4 short along the axis on, where the depth is 0.1 short
+    less than that of the end.
+
+    A capsule hands this force to two points of its axis that have s as the centre of their pressure: where the sum has
+    its minimum with -1 and with 2 in place of 1/2. They are the ends of an axis along the other body, and are one where
+    two axes cross. Damping and friction are theirs: so a capsule that lies on a body comes to rest, and resists a spin.
     """
     if shapes[0].type == "box" or shapes[0].type == shapes[1].type == "capsule" and shapes[0].length > shapes[1].length:
         bodies, shapes = bodies[::-1], shapes[::-1]
@@ -920,22 +946,24 @@ def _touch_each_other(found, bodies, shapes, short):
     found.is_geometry = True
     points = nearest(found, bodies, shapes, barrel)
     found.is_geometry = False
-    for point in points:
-        _touch_at(found, bodies, shapes, *point)
+    _touch_at(found, bodies, shapes, **points)
     reach = [np.linalg.norm(shape.position) + _around(shape)[1] for shape in shapes]
     size = LOOK * sum(0.5 * min(shape.size) if shape.type == "box" else shape.radius for shape in shapes)
-    found.closing = [(depth, bodies, reach, size) for depth in found.depths]
+    found.closing = [(found.depths[0], bodies, reach, size)]
     return found
 
 
-def _touch_at(found, bodies, shapes, mine, theirs, more, inside=None):
-    """Contact of two bodies at points of their axes or of the box, world axes.
+def _touch_at(found, bodies, shapes, mine, theirs, own=None, more=0.0, shares=((1.0, ""),), inside=None):
+    """Contact of two bodies at points of the axis of one, world axes; see `_touch_each_other`.
 
-    more   : m^2, is added to the squared distance, see `_touch_each_other`; 0.0: nothing
-    inside : condition that the first point is in the box, so that its distance is negative; None: there is no box
+    mine   : the points;  theirs : point of the axis of the other body, or of the box, that is nearest to `own`
+    own    : what is nearest on the axis, default: the only point
+    more   : m^2, is added to the squared distance
+    shares : (share in the force, condition that there is one) of each point
+    inside : condition that `own` is in the box, so that its distance is negative; None: there is no box
     """
     radii = [getattr(shape, "radius", 0.0) for shape in shapes]
-    apart = [found.let(each) for each in _difference(mine, theirs)]
+    apart = [found.let(each) for each in _difference(own or mine[0], theirs)]
     length = reach = found.let(f"sqrt({_dot(apart, apart)})")
     part = 1.0
     if more:
@@ -948,16 +976,18 @@ def _touch_at(found, bodies, shapes, mine, theirs, more, inside=None):
     normal = [found.let(f"{each}/{reach}") for each in apart]
     depth = found.let(_minus(sum(radii), length))
     # In the middle of the region that both would occupy.
-    middle = _sum(mine, _scaled(found.let(_minus(_times(0.5, depth), radii[0])), normal))
-    middle = [found.let(each) for each in middle]
-    arms, speeds = [], []
-    for body, shape in zip(bodies, shapes):
-        arm = [found.let(each) for each in _difference(middle, found.place(body, shape.position))]
-        arms.append(arm)
-        speeds.append(_sum(found.rate(body, shape.position), _cross(found.spin(body), arm)))
-    speed = [found.let(each) for each in _difference(*speeds)]
-    leaving = found.let(_dot(normal, speed))
-    slips = _difference(speed, _scaled(leaving, normal))
-    force = [found.let(each) for each in found.press(depth, leaving, slips, (normal, None), part)]
-    for body, shape, arm, sign in zip(bodies, shapes, arms, (1.0, -1.0)):
-        found.act(body, shape.position, _scaled(sign, force), arm)
+    down = [found.let(each) for each in _scaled(found.let(_minus(_times(0.5, depth), radii[0])), normal)]
+    for point, (share, presses) in zip(mine, shares):
+        middle = [found.let(each) for each in _sum(point, down)]
+        arms, speeds = [], []
+        for body, shape in zip(bodies, shapes):
+            arm = [found.let(each) for each in _difference(middle, found.place(body, shape.position))]
+            arms.append(arm)
+            speeds.append(_sum(found.rate(body, shape.position), _cross(found.spin(body), arm)))
+        speed = [found.let(each) for each in _difference(*speeds)]
+        leaving = found.let(_dot(normal, speed))
+        slips = _difference(speed, _scaled(leaving, normal))
+        force = found.press(depth, leaving, slips, (normal, None), _times(part, share), presses)
+        force = [found.let(each) for each in force]
+        for body, shape, arm, sign in zip(bodies, shapes, arms, (1.0, -1.0)):
+            found.act(body, shape.position, _scaled(sign, force), arm)

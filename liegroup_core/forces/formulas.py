@@ -117,7 +117,8 @@ class Program:
         self._numbers, self._known, self._surfaces, self._others = {}, {}, {}, 0
         self.conditions = set()  # registers that are 0 or 1, or a share
         self.constants = set()  # registers of numbers and parameters
-        self.followed = set()  # numbers of instructions whose branches are always those of their arguments
+        self.follows = False  # whether branches of what comes are always those of their arguments
+        self.followed = set()  # numbers of instructions with such branches
         self.bent = set()  # and of those where nothing jumps
 
     @contextlib.contextmanager
@@ -157,7 +158,8 @@ class Program:
 
     def do(self, operation, a, b=0, c=0):
         """Register of the result of an operation."""
-        key = operation, a, b, c
+        follows = self.follows and operation in BRANCHED
+        key = operation, a, b, c, follows
         if key not in self._known:
             if self._others + len(self.code) >= MOST_INSTRUCTIONS:
                 raise FormulaError(
@@ -166,11 +168,14 @@ class Program:
                 )
             self._known[key] = to = self.new()
             if operation in COMPARISONS:
-                c = self._surfaces.get((a, b)) or self._surfaces.setdefault((a, b), self.new())
+                surface = a, b, follows
+                c = self._surfaces.get(surface) or self._surfaces.setdefault(surface, self.new())
             elif operation in BRANCHED:
                 c = self.new()
             if operation in CONDITIONS:
                 self.conditions.add(to)
+            if follows:
+                self.followed.add(len(self.code))
             self.code.append((operation, to, a, b, c))
         return self._known[key]
 

@@ -345,10 +345,9 @@ class Law(Force):
         signals, key = {}, "rate" if self.period is None else "update"
         with nullcontext() if self.period is None else program.apart() as code:
             for name, text in self.signals.items():
-                first = len(program.code)
+                first, program.follows = len(program.code), name in self._follows
                 signals[name] = names[name] = _compiled(program, text, names, tables, ("signals", name))
-                if name in self._follows:
-                    program.followed.update(range(first, len(program.code)))
+                program.follows = False
                 if name in self._bends:
                     program.bent.update(range(first, len(program.code)))
             outputs = [

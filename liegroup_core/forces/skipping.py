@@ -83,7 +83,7 @@ def _paths(code, needed, zero):
 
 def _ordered(code, made, bases, paths, members, new, depth=0, flag=-1):
     """Rows of `arrange` of the sorted numbers of the instructions in a block of a depth, with its register f."""
-    waits, readers, groups, rows = {}, defaultdict(list), defaultdict(list), []
+    waits, readers, groups, rows = dict.fromkeys(members), defaultdict(list), defaultdict(list), []
 
     def of(i):
         """Condition of the inner block of an instruction, or -1."""

@@ -4,8 +4,8 @@
     dx' = A(t) dx + F(t) dp ,   x = (z, z')
 
 with A of linear_system.py in the chart that moves with the state, and F the derivative of the accelerations at the
-state by the numbers p (numbers.py). They are solved by collocation at Lobatto points of intervals, whose length follows
-the last coefficients of the polynomials.
+state by the numbers p (numbers.py). They are solved by Lobatto IIIC in intervals, whose length follows the last
+coefficients of the polynomials.
 
 The differences are displacements and rates of all freedoms of the tree. Each interval has independent coordinates of
 its own; those that stops or friction hold are among them, as they may differ, too.
@@ -22,6 +22,7 @@ from numpy.polynomial import legendre
 
 from liegroup_core.errors import SimulationError
 from liegroup_core.events.times import SAME_TIME
+from liegroup_core.forces.contact import stiffest
 from liegroup_core.forces.formulas import SHARED
 from liegroup_core.forces.instants import AFTER
 from liegroup_core.settings import of_engine
@@ -34,6 +35,7 @@ from .numbers import Sides
 from .probe import Probe
 
 LOCAL = 1e-11  # largest relative error of an interval
+ROUGHLY = 1e-2  # and that of a difference that is an error
 FIRST, MOST = 1e-2, 4.0  # s: first interval; growth from one to the next
 SHORTEST = 100  # ns
 MARGIN = 0.25  # of a step, between an event and the ends of the steps that cross it
@@ -148,8 +150,11 @@ class Variations:
                 samples, u, matrices, doubts, kept = self._look(began, h, times, coordinates)
                 found = _Collocation(u, matrices, 1e-9 * h, start)
                 # What errors of the derivatives allow is not resolved.
-                noise = 1e-9 * h * (doubts @ np.maximum(np.abs(start), np.abs(found.at(1.0))))
+                noise = found.filter @ (doubts @ np.maximum(np.abs(start), np.abs(found.at(1.0))))
                 size, allowed = (np.abs(x).max(axis=0, initial=TINY) for x in (found.at(1.0)[: len(noise)], noise))
+                # Errors that were carried here need two digits, of their largest size: some decay fast.
+                apart = [np.subtract(*np.hsplit(x, 2)) for x in (start, found.at(1.0))]
+                allowed[count:] += ROUGHLY * np.abs(np.vstack(apart)).max(axis=0, initial=0.0)
                 error = (found.error.max(axis=0, initial=0.0) / (size + allowed / LOCAL)).max(initial=0.0)
             except SimulationError:
                 if h <= SHORTEST:
@@ -380,10 +385,15 @@ class Variations:
 
 
 def _settings(simulation):
-    """Settings of the same Simulation without an estimate, and with tight tolerances instead of an accuracy."""
+    """Settings of the same Simulation without an estimate, and with tight tolerances instead of an accuracy.
+
+    A state within a step is integrated from its start: steps are no longer than the way between two points of an
+    interval in which the stiffest contact acts.
+    """
     if simulation.promise is None:
         return simulation.arguments | {"estimate": False}
-    return of_engine(simulation) | {"method": simulation.method, "rtol": TIGHT, "atol": TIGHT, "estimate": False}
+    settings = of_engine(simulation) | {"method": simulation.method, "rtol": TIGHT, "atol": TIGHT, "estimate": False}
+    return settings | {"step": min(settings["step"], stiffest(simulation.scene.forces)[0] / POINTS)}
 
 
 class _Polynomial:
@@ -406,12 +416,26 @@ class _Polynomial:
         found[:, 1:] = 0.5 * (basis[:, 2:] - basis[:, : s - 1]) / (2.0 * np.arange(1, s) + 1.0)
         return found @ self._inverse
 
+    def damped(self, u):
+        """(s, s) weights of Lobatto IIIC in these integrals to the points: those of the first point are all equal."""
+        found = self.integrals(u)
+        if len(u) > 1:
+            basis = legendre.legvander(2.0 * u - 1.0, len(u) - 2)
+            first = self.integrals(1.0)[0, 0]
+            rest = found @ basis - first * basis[0]
+            found = np.column_stack([np.full(len(u), first), np.linalg.solve(basis[1:].T, rest.T).T])
+        return found
+
 
 class _Collocation:
-    """Collocation polynomials x (n + q, c) of x' = A x + F p over an interval of h s.
+    """Polynomials x (n + q, c) of x' = A x + F p over an interval of h s, by Lobatto IIIC.
+
+    What decays much faster than h decays in the interval, too: Hairer and Wanner, Solving Ordinary Differential
+    Equations II, IV.5. Errors are filtered as there in IV.8: what a rate does until it has decayed.
 
     u, matrices : (s,) points of the interval, and [A F] (s, n, n + q) there
     start       : (n + q, c), with constant p
+    filter      : (n, n) s, by which errors of x' that stay act on x at the end
     error       : (n, c), from the coefficients of x'
     range       : (n, c), of x' times h
     """
@@ -419,15 +443,18 @@ class _Collocation:
     def __init__(self, u, matrices, h, start):
         s, n, _ = matrices.shape
         self._polynomial, self._start, self._h = _Polynomial(u), start, h
-        weights = self._polynomial.integrals(u)
+        weights = self._polynomial.damped(u)
         left = np.eye(s * n) - h * np.einsum("iab,ij->iajb", matrices[:, :, :n], weights).reshape(s * n, s * n)
         count = start.shape[1]
         self._rates = np.linalg.solve(left, (matrices @ start).reshape(s * n, count)).reshape(s, n, count)
         # The coefficients decrease like a geometric sequence; two of them, as every second one may be zero.
-        sizes = np.abs(self._polynomial.coefficients(self._rates))
+        part = h / (2.0 * s)
+        last = self._polynomial.coefficients(self._rates)[-4:]
+        sizes = np.abs(np.linalg.solve(np.eye(n) - part * matrices[-1, :, :n], last))
         last, before = sizes[-2:].sum(axis=0), sizes[-4:-2].sum(axis=0)
         ratio = np.divide(last, before, out=np.zeros_like(last), where=before > 0.0)
-        self.error, self.range = h * last * np.minimum(ratio, 1.0) / (2.0 * s), h * np.ptp(self._rates, axis=0)
+        self.filter = h * np.abs(np.linalg.inv(np.eye(n) - h * matrices[-1, :, :n]))
+        self.error, self.range = part * last * np.minimum(ratio, 1.0), h * np.ptp(self._rates, axis=0)
 
     def at(self, u):
         """x at a part u of the interval."""

@@ -109,7 +109,10 @@ def test_blocks_that_are_skipped_change_no_bit():
         for _ in range(4):
             a, b = rng.choice([*NAMES, "s0", "s1", "s2", "s3"], 2)
             inner = f"({random_formula(rng, 2)} + s1*s2 if {b} < s3 and s0 > 0.1 else 0)"
-            results.append(program.compile(f"{inner} + {a}*s1 if {a} > 0.5 else 0", names, table))
+            # What a block with a condition from another block has, comes before both.
+            early = {"early": program.compile(random_formula(rng, 2), names, table)} | names
+            outer = f"{inner} + {a}*s1 if {a} > 0.5 else 0"
+            results.append(program.compile(f"({outer}) + (early*(early + 1) if {inner} > 0.2 else 0)", early, table))
         rows, _ = arrange(program.code, {*results}, program.number(0.0), program.new)
         orders = [np.array(each, dtype=np.int64) for each in (program.code, [row for row, *_ in rows])]
         arrays, both = table_arrays(program.tables), [np.zeros((len(program.registers), 2)) for _ in range(2)]
