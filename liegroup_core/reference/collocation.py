@@ -29,6 +29,7 @@ CLOSE = 1e-12  # a correction that no longer decreases must be smaller
 KEEP = 1.25  # Newton's method keeps the step, and so its matrices, unless the step may grow by more
 AGE = 20  # steps with the same Jacobian
 MOST_ATTEMPTS = 100  # of one step
+MET = 1e-9  # of the largest height in a step
 SHORTER = 0.05  # least part of a step that is taken again up to a change that no node has seen
 
 
@@ -153,7 +154,7 @@ class CollocationSteps:
                 step *= part
                 continue
             self._passed, self._is_half = np.full(len(self._passed), FREE), is_near
-            if is_aimed:
+            if is_aimed and self._has_met(aim[1]):
                 self._passed[aim[1]] = 1.0 - kept[aim[1]]
                 self.heights[-1, aim[1]] = (0.5 - self._passed[aim[1]]) * EPS
             self._accept(step, increments[-1], polynomial, end)
@@ -187,6 +188,11 @@ class CollocationSteps:
         kept = kept.copy()
         kept[numbers] = 1.0 - kept[numbers]
         return self._set_start(kept)
+
+    def _has_met(self, numbers):
+        """Whether heights are zero at the end of a step up to where a longer one, which may be rough, had them zero."""
+        heights = np.vstack([self._heights, self.heights])[:, numbers]
+        return (np.abs(heights[-1]) <= MET * np.abs(heights).max(axis=0)).all()
 
     @property
     def _shortest(self):

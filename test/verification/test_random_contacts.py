@@ -62,6 +62,12 @@ def reference(scene, times, pushes):
         return reference(scene, times, pushes)
 
 
+def random_pushes(seed, rng):
+    """[WrenchSpan] of the first body."""
+    wrench, start = (*rng.normal(0.0, 0.3, 3), *rng.normal(0.0, 5.0, 3)), round(rng.uniform(0.05, 0.3), 3)
+    return [WrenchSpan(start, start + 0.125, "b0", wrench, "world")] if seed % 3 == 1 else []
+
+
 @pytest.mark.parametrize("seed", SEEDS)
 def test_an_accuracy_is_kept_through_random_contacts_or_the_run_says_so(seed):
     """The estimate is at least half of an error beyond the accuracy; the reference knows its own uncertainty.
@@ -69,14 +75,13 @@ def test_an_accuracy_is_kept_through_random_contacts_or_the_run_says_so(seed):
     A third of the scenes have a push, in another third the accuracy changes by ten.
     """
     scene, times, rng = thrown(seed), [0.0, 0.2, 0.4, 0.6], np.random.default_rng((seed, 1))
-    wrench, start = (*rng.normal(0.0, 0.3, 3), *rng.normal(0.0, 5.0, 3)), round(rng.uniform(0.05, 0.3), 3)
-    pushes = [WrenchSpan(start, start + 0.125, "b0", wrench, "world")] if seed % 3 == 1 else []
+    pushes = random_pushes(seed, rng)
     exact, known = reference(scene, times, pushes)
     uncertain = max(known.position.max() / SIZE, known.angle.max())
     for accuracy in (1e-2, 1e-5, 1e-9):
         simulation, aim = Simulation(scene, accuracy=accuracy, horizon=1.0, quiet=True), accuracy
-        if pushes:
-            simulation.apply_wrench("b0", wrench, start, 0.125, axes="world")
+        for push in pushes:
+            simulation.apply_wrench("b0", push.wrench, push.start, 0.125, axes="world")
         for k, time in enumerate(times):
             if seed % 3 == 2 and k == 2:
                 change = 10.0 ** rng.choice([-1, 1])
@@ -92,14 +97,20 @@ def test_an_accuracy_is_kept_through_random_contacts_or_the_run_says_so(seed):
     assert uncertain <= 1e-6
 
 
-def test_a_short_slip_soon_after_a_contact_sticks_is_not_overlooked():
-    """46 us in the first fifth of a substep: overlooked, it changes poses by 4e-9, and later by 4e-6."""
-    scene, times = thrown(9044), [0.0, 0.2]
-    exact, known = reference(scene, times, [])
+@pytest.mark.parametrize("seed, end", [(9044, 0.2), (121, 0.4)])
+def test_a_short_slip_of_a_contact_is_not_overlooked(seed, end):
+    """46 us in the first fifth of a substep, soon after it sticks; and 1.3 us soon after it touches.
+
+    Overlooked, by the run or by the reference, they change poses by 4e-9 and 3e-8.
+    """
+    scene, times, pushes = thrown(seed), [0.0, end], random_pushes(seed, np.random.default_rng((seed, 1)))
+    exact, known = reference(scene, times, pushes)
     assert max(known.position.max() / SIZE, known.angle.max()) < 1e-12
     for accuracy in (1e-5, 1e-7, 1e-9):
         simulation = Simulation(scene, accuracy=accuracy, horizon=1.0, quiet=True)
-        simulation.advance_to(0.2)
+        for push in pushes:
+            simulation.apply_wrench("b0", push.wrench, push.start, 0.125, axes="world")
+        simulation.advance_to(end)
         pose = simulation.sample().pose_matrices
         off = np.abs(pose[:, :3, 3] - exact.position[1]).max() / SIZE, np.abs(pose[:, :3, :3] - exact.rotation[1]).max()
-        assert max(off) < min(accuracy, 1e-9)
+        assert max(off) < min(accuracy, 1e-9) or max(off) < 2.0 * simulation.largest_error
