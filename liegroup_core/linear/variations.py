@@ -39,6 +39,7 @@ ROUGHLY = 1e-2  # and that of a difference that is an error
 FIRST, MOST = 1e-2, 4.0  # s: first interval; growth from one to the next
 SHORTEST = 100  # ns
 MARGIN = 0.25  # of a step, between an event and the ends of the steps that cross it
+PARTS = 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000  # of a step: whole ns of most
 TIGHT = 1e-13  # tolerances of the run and of neighbouring runs
 NEAR = 1e-3  # rad, and of the mechanism's size: first distance of neighbouring runs
 FEW = 1e-12  # relative size of a singular value that is round-off
@@ -64,7 +65,7 @@ class Variations:
     """
 
     def __init__(self, simulation, end_ns, differences=None, numbers=None):
-        self._settings = _settings(simulation)
+        self._settings, self._parts = _settings(simulation)
         self._run, self._near = (self._copy(simulation) for _ in range(2))
         self.time_ns, self._h = simulation.time_ns, FIRST
         self._windows = self._events(end_ns)
@@ -88,8 +89,8 @@ class Variations:
         return copy
 
     def _events(self, end_ns):
-        """[(start, end)] in ns of the steps of the run that cross events up to a time."""
-        run, found = self._near, []
+        """[(start, end)] in ns of the steps of the Simulation that cross events up to a time."""
+        run, found, h, parts = self._near, [], self._near.step * self._parts, self._parts
         if not (run.layout.switches or len(run.layout.model.forces.laws.kinks)):
             return found
         start = run.snapshot()
@@ -98,16 +99,17 @@ class Variations:
         with contextlib.suppress(SimulationError):  # after the end
             run.advance()
         # At the start neighbouring states may move where this one is at rest.
-        found.append([start.parts["steps"], start.parts["steps"] + 1])
+        begin = start.parts["steps"] // parts
+        found.append([begin, begin + 1])
         for event in run.drain_instants()[1:]:
-            first = max(math.floor(event.time / run.step - MARGIN), start.parts["steps"])
-            last = math.ceil(event.time / run.step + MARGIN)
+            first = max(math.floor(event.time / h - MARGIN), begin)
+            last = math.ceil(event.time / h + MARGIN)
             if first <= found[-1][1]:
                 found[-1][1] = max(last, found[-1][1])
             else:
                 found.append([first, last])
         run.restore(start)
-        return [tuple(run.step_ns(step) for step in window) for window in found]
+        return [tuple(run.step_ns(parts * step) for step in window) for window in found]
 
     def through(self, times_ns):
         """Yield a Sample at times in ns that do not decrease; `columns` and `doubt` are there."""
@@ -385,15 +387,19 @@ class Variations:
 
 
 def _settings(simulation):
-    """Settings of the same Simulation without an estimate, and with tight tolerances instead of an accuracy.
+    """(settings of the same Simulation without an estimate, and with tight tolerances instead of an accuracy; its steps in
+    one of the Simulation).
 
     A state within a step is integrated from its start: steps are no longer than the way between two points of an
     interval in which the stiffest contact acts.
     """
     if simulation.promise is None:
-        return simulation.arguments | {"estimate": False}
+        return simulation.arguments | {"estimate": False}, 1
     settings = of_engine(simulation) | {"method": simulation.method, "rtol": TIGHT, "atol": TIGHT, "estimate": False}
-    return settings | {"step": min(settings["step"], stiffest(simulation.scene.forces)[0] / POINTS)}
+    step, longest = settings["step"], stiffest(simulation.scene.forces)[0] / POINTS
+    parts = next(parts for parts in PARTS if step <= parts * longest or parts == PARTS[-1])
+    parts = 1 if round(1e9 * step) % parts else parts
+    return settings | {"step": step / parts}, parts
 
 
 class _Polynomial:
