@@ -15,7 +15,7 @@ import numpy as np
 
 from liegroup_core.dynamics.switches import LEAST, LOWER, MOST, SLIDING, UPPER, modes_of
 from liegroup_core.forces.acting import Acting
-from liegroup_core.forces.formulas import OPEN, SHARED, UNKNOWN
+from liegroup_core.forces.formulas import LOOSE, OPEN, SHARED, UNKNOWN
 from liegroup_core.forces.law import is_shared, next_branch, places_of_branches
 from liegroup_core.joints.stops import WITHIN_A_TURN
 from liegroup_core.mechanism.arrays import BEGIN, COORDINATE, KNOWN, SIDE, SLIP, SPAN, WATCHED
@@ -56,6 +56,7 @@ class Switching(EventTimes):
     lead    : Lead of the method
     touching : Touching of the contacts; None: their events are not noted
 
+    leaps   : Laws.compared of kinks over which steps go on; None: none
     instants : [JointInstant] since they were last taken; None: not recorded
     count   : number of events since the state was set
     endless : (time in s, switches) of the first impacts without end that became plastic, or None
@@ -65,10 +66,8 @@ class Switching(EventTimes):
     def __init__(self, model, work, take, step, control, weights, lead, touching):
         super().__init__(model, work, take, step, control, weights)
         self._lead, self._points = lead, None
-        # Without error control, not all branches are known.
-        is_known = touching.names and len(work.branches) == len(model.space.forces.laws.kinks)
-        self.touching = touching if is_known else None
-        self.instants, self.count = None, 0
+        self.touching = touching if touching and touching.names else None
+        self.instants, self.count, self.leaps = None, 0, None
         self.endless = self._inputs = None
         self.tally, self._tally = np.zeros((2, len(work.guards)), dtype=int)  # and where a step began
         # s, of the last event of each in a step, and the time after which one is another event
@@ -331,6 +330,8 @@ class Switching(EventTimes):
             status = self._look(self._model, work, *state)
         if len(work.shares):
             self._keep_shares()
+        if self.leaps is not None:
+            work.branches[np.isin(self._laws.compared[: len(work.branches)], self.leaps)] = LOOSE
         if status == OK and self.touching:
             before, self._points = self._points, self.touching.points(self._sides(), self._points)
             changes = self.touching.changes(before, self._points)

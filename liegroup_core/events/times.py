@@ -242,7 +242,8 @@ class EventTimes(ModeChanges):
         near = max(place - NEAR, 0.0) * size, min(place + NEAR, 1.0) * size
         options = {"xatol": PRECISE * size}
         find = scipy.optimize.minimize_scalar
-        found = find(guard, args=(k, c), bounds=near, method="bounded", options=options)
+        with np.errstate(invalid="ignore"):  # a guard is infinite where a law skips it
+            found = find(guard, args=(k, c), bounds=near, method="bounded", options=options)
         return float(found.x) if found.fun < 0.0 else None
 
     def _zero(self, guard, gap, end, precise, k, c, expected):

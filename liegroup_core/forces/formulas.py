@@ -96,7 +96,7 @@ CONDITIONS = (*COMPARISONS, EQUAL, AND, OR, NOT)
 BRANCHED = (*COMPARISONS, MIN, MAX, ABS, TABLE)
 TURNED = {LESS: MORE, LESS_EQUAL: MORE_EQUAL, MORE: LESS, MORE_EQUAL: LESS_EQUAL}  # with the arguments exchanged
 # Branches: of two arguments a > b and a < b, of abs a > 0 and a < 0; of a table see `branch_of_segment`.
-UNKNOWN, OPEN, ABOVE, BELOW = 0.0, 0.5, 1.0, -1.0  # UNKNOWN and OPEN: that of the arguments at any time
+UNKNOWN, LOOSE, OPEN, ABOVE, BELOW = 0.0, 0.25, 0.5, 1.0, -1.0  # the first three: that of the arguments at any time
 SHARED = 4.0  # of a comparison: plus the share of BELOW in a sliding motion, see dynamics/sliding.py
 
 

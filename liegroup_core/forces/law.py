@@ -120,7 +120,7 @@ class Laws(Struct):
     branches: int  # first of the registers with their branches, in this order
     surfaces: np.ndarray  # (s,) numbers of the kinks along which a motion can slide
     # (q,) 1 where laws may jump, which are the first ones, 2 where a motion can slide, -1 where nothing jumps, and a
-    # branch that goes on beyond its end does not leave the other one at once: bends of contacts
+    # branch that goes on beyond its end does not leave the other one at once: bends of contacts, -2 of their bristles
     compared: np.ndarray
     tables: np.ndarray  # (t + 1,) first points of the tables
     points: np.ndarray  # (n, 2) their points
@@ -521,6 +521,7 @@ class _Program(NamedTuple):
     read    : {register that others in `code` read: conditions of all blocks around those};  inputs : read by `shown`
     owners  : [name] of the law of each kink
     compared, surfaces : numbers of the kinks where laws may jump, and of those along which a motion can slide
+    yields  : numbers of those where bristles of contacts yield, see Law._bends
     """
 
     laws: list
@@ -534,6 +535,7 @@ class _Program(NamedTuple):
     branches: int
     owners: list
     compared: list
+    yields: list
     surfaces: list
     times: list
     always: set
@@ -597,6 +599,7 @@ def _compile_all(described):
             branches,
             [owners[i] for i, *_ in kinks],
             compared,
+            [k for k, (i, *_) in enumerate(kinks) if i in program.bent],
             [k for k in compared if owners[kinks[k][0]] in sliding],
             _times(program, (kinks[k][0] for k in compared)),
             {row[1] for row, i, flag in rows if i >= 0 and flag < 0},
@@ -756,7 +759,8 @@ def make_laws(described, index, ends, angles, slides, first, sensors=()):
     compared, surfaces = set(program.compared), set(program.surfaces)
     contacts = {law.name for law in program.laws if not law._jumps}
     kinds = [
-        (k in compared) + (k in surfaces) or (-1 if owner in contacts else 0) for k, owner in enumerate(program.owners)
+        (k in compared) + (k in surfaces) or -(owner in contacts) - (k in program.yields)
+        for k, owner in enumerate(program.owners)
     ]
     all_registers = [*program.registers]
     outputs, owners, states, held, start, sampled_code, results, shown = [], [], [], [], [], [], [], []

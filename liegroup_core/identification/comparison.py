@@ -12,12 +12,13 @@ from liegroup_core.errors import SceneError, SimulationError
 from liegroup_core.forces.contact import stiffest
 from liegroup_core.linear.coordinates import Coordinates
 
-from .contradictions import Effect, Effects, Missing, channel_fits, white
+from .contradictions import Effect, Effects, Missing, channel_fits
 from .fit import Fit, Solution, covariance
 from .horizon import Horizon, horizons
 from .runs import Runs, Unknowns
 from .scales import no_direction, scale
 from .starts import LEAST, ROUGHLY, alone, first_states, has_others, shortest, starts_of, state_at
+from .whiteness import Whiteness
 
 LEVEL = 0.95  # of intervals
 WRONG = 0.01  # probability that residuals of a right model are not found white
@@ -227,7 +228,7 @@ def fitted(scene, log, names=(), workers=None, limits=None, priors=None, held_ou
     fit, point = begin(scene, log, names, workers, limits, priors)
     whole = _whole(fit, point) if names else None
     if whole is not None and is_in_reach(fit, whole):
-        point = replace(whole.point, bounds=point.bounds, states=())
+        point = whole.point
     length, few = _length(fit, point)
     point = few.point
     bounds = _divided(log.usable.spans, length)
@@ -288,7 +289,8 @@ def _whole(fit, point):
             rough = [np.maximum(s, part * each.spread) for s, each in zip(fit.deviation, fit.runs.log.measured)]
             if part and all(map(np.array_equal, rough, fit.deviation)):
                 continue
-            found = Fit(fit.runs, rough, fit.free, fit.limits, fit.priors, fit.workers).solve(point, ROUGHLY, found)
+            one = Fit(fit.runs, rough, fit.free, fit.limits, fit.priors, fit.workers)
+            found = one.solve(in_short_steps(one, point, found and found.outputs), ROUGHLY, found)
             point = found.point
     except SimulationError:
         return None
@@ -439,11 +441,11 @@ def judged(fit, near, solution):
     tied_near = fit.solution(near.point, near.outputs, near.linear, SLACKS[-1])
     judge = Effects(fit, solution if is_in_reach(fit, solution) else tied_near)
     columns = [np.flatnonzero(np.isfinite(each.values).any(axis=0)) for each in fit.runs.log.measured]
-    errors = numerics(fit, solution)
-    channels, p_white = channel_fits(fit, solution, errors), []
-    plain = [white(fit, solution, t, [p]) for t, own in enumerate(columns) for p in own]
+    errors, white = numerics(fit, solution), Whiteness(fit, solution)
+    channels, p_white = channel_fits(fit, solution, white, errors), []
+    plain = [white(t, [p]) for t, own in enumerate(columns) for p in own]
     for least, each in ((None, plain), (errors, [channel.p_white for channel in channels])):
-        together = [white(fit, solution, t, own, least) for t, own in enumerate(columns) if len(own)]
+        together = [white(t, own, least) for t, own in enumerate(columns) if len(own)]
         p_white.append(min(min(each) * len(each), min(together) * len(columns)))
     found = Comparison(fit, solution, channels, [], [], [], errors, horizons(fit, near, solution), tuple(p_white))
     effects, alone, missing, is_explained = judge.find(found.is_noise)

@@ -9,6 +9,7 @@ tied, so that small effects add up along the log. What starts, delays and number
 and columns: the sum of squares that an effect takes away is a score test. Effects are selected one after the other.
 """
 
+import math
 from dataclasses import dataclass
 from itertools import islice, product
 
@@ -20,7 +21,6 @@ from liegroup_core.threads import one_blas_thread
 from .chain import Chain
 from .fit import without
 from .forced import AXES, VARIABLES, Forced
-from .log import LEAST
 from .machine import floating
 
 SMALL = 1e-3  # of the loads that occur: size of an effect in its run
@@ -34,7 +34,6 @@ NO_COLUMN = 1e-6  # relative size of a column that others explain
 UNTOLD, HIDDEN_PART = 0.01, 0.1
 WAVES = (1, 2, 3, 4, 5, 6, 7, 8, 10, 12, 14, 16, 20, 24)  # of cogging, a turn
 LAG_TIMES = (2e-3, 1e-2, 5e-2)  # s
-LAGS = 20  # of the test of whiteness
 NUMBERS = {"friction": "1", "stiffness": "N/m", "sinks": "m", "damping": "s/m", "restitution": "1"}  # of contacts
 BINS = 8  # of an effort as a function of the motion or of time
 # Standard deviations, by the root of the count: of an rms, and of it by the noise that third differences give. The
@@ -97,7 +96,7 @@ class ChannelFit:
     chi         : rms by deviation
     limit       : of chi, that noise exceeds with a probability below 1e-4
     p_chi       : probability of a sum of squares as large, or larger, by noise alone
-    p_white     : of correlations as large between successive residuals (Ljung and Box 1978)
+    p_white     : of correlations as large between successive residuals, see Whiteness; NaN: not tested
     """
 
     name: str
@@ -112,8 +111,8 @@ class ChannelFit:
     p_white: float
 
 
-def channel_fits(fit, solution, errors=None):
-    """[ChannelFit] of all outputs of a Solution; errors: of its integration, as `white` takes them, None: not known."""
+def channel_fits(fit, solution, white=None, errors=None):
+    """[ChannelFit] of all outputs of a Solution; white: its Whiteness, None: not tested; errors: as that takes them."""
     found = []
     segments = fit.runs.segments(solution.point)
     for t, each in enumerate(fit.runs.log.measured):
@@ -139,41 +138,10 @@ def channel_fits(fit, solution, errors=None):
                     float(np.sqrt(square / dof) / sigma),
                     float(1.0 + SURE * spread / np.sqrt(len(e))),
                     float(scipy.stats.chi2.sf(square / sigma**2, dof)),
-                    white(fit, solution, t, [p], errors),
+                    math.nan if white is None else white(t, [p], errors),
                 )
             )
     return found
-
-
-def white(fit, solution, t, columns, errors=None):
-    """Probability of correlations as large between successive residuals of a Measured, if these are white noise.
-
-    That of Hosking (1980), for one column of Ljung and Box (1978), within runs along the log. Residuals below LEAST of
-    the noise are round-off, as of a motion in a plane across it; those below the errors of the integration say nothing.
-
-    errors : [(p,)] largest errors of the integration by the noise, of each Measured; None: not known
-    """
-    rest = np.concatenate([residuals[t][:, columns] for residuals in solution.residuals])
-    least = LEAST if errors is None else np.maximum(LEAST, errors[t][columns])
-    is_seen = np.nanmax(np.abs(rest), axis=0, initial=0.0) > least * fit.deviation[t][columns]
-    columns, ends = np.asarray(columns)[is_seen], []
-    if not len(columns):
-        return 1.0
-    parts = [residuals[t][:, columns] for residuals in solution.residuals]
-    for run in np.split(np.arange(len(parts)), solution.firsts[1:]):
-        rest = np.vstack([parts[k] for k in run])
-        ends.append(rest[np.isfinite(rest).all(axis=1)])
-    count, p = sum(map(len, ends)), len(columns)
-    lags, total = min(LAGS, max(map(len, ends)) // (4 * p)), 0.0
-    square = sum(e.T @ e for e in ends)
-    if not lags or not np.diag(square).all():
-        return 1.0
-    root = np.linalg.cholesky(square)
-    for lag in range(1, lags + 1):
-        C = sum(e[lag:].T @ e[:-lag] for e in ends if len(e) > lag)
-        of = np.linalg.solve(root, np.linalg.solve(root, C).T)
-        total += float(np.sum(of**2)) / (count - lag)
-    return float(scipy.stats.chi2.sf(count * (count + 2) * total, lags * p**2))
 
 
 def _least(J):

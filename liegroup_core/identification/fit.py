@@ -20,7 +20,7 @@ from liegroup_core.errors import SceneError, SimulationError
 from liegroup_core.threads import one_blas_thread
 
 from .chain import Chain, Part, Tie
-from .log import ENOUGH
+from .log import ENOUGH, LEAST
 from .machine import NS, Apart
 from .runs import CHANGE, LAG
 
@@ -29,7 +29,9 @@ HIDDEN = 1e-6  # the same of starts: columns of what nothing shows are round-off
 MOST_STEPS, MOST_TRIES = 40, 12
 ORDER = 4  # of the method of the runs
 SAME = 1e-7  # relative decrease of the sum of squares in the last step
-CLOSE = 0.01  # of the standard deviations: last step
+# Of the standard deviations: last step. If outputs are linear, no combination of unknowns changes by more than this
+# part of its standard deviation in a step that decreases the sum of squares by CLOSE^2 times the variance of residuals.
+CLOSE = 0.01
 AS_TOLD = 0.1  # relative difference between decreases, expected and found, up to which columns serve again
 ROUND_OFF = 1e-12
 FIXED = 1e-12  # standard deviation of what does not vary, by its scale or in s
@@ -236,7 +238,7 @@ class Fit:
 
     def bases(self, point):
         """[(N_s, c)] orthonormal directions of the weighted outputs that changes of each start give."""
-        return [_range(part.own) for part in self._linear(point, self.runs.base(point), starts_only=True)]
+        return [range_of(part.own) for part in self._linear(point, self.runs.base(point), starts_only=True)]
 
     def left(self, point, bases):
         """(N,) weighted residuals of Unknowns without their parts in bases. Raises SimulationError."""
@@ -391,7 +393,7 @@ class Fit:
         """Step from Unknowns.
 
         Changes [(c,)] of the starts by their scales, (g,) of delays and numbers, by which share the sum of squares
-        would decrease if outputs were linear, and whether all changes are small.
+        would decrease if outputs were linear, and whether that of a step without damping is small, see CLOSE.
         """
         q, chain = len(self.runs.numbers), Chain(parts, damping)
         g = chain.columns.shape[1]
@@ -418,14 +420,14 @@ class Fit:
         changes = chain.starts(step)
         ahead = [changes[s + 1] if part.tie else None for s, part in enumerate(parts)]
         expected = sum(_square(part, change, step, after) for part, change, after in zip(parts, changes, ahead))
-        count = max(sum(len(part.rest) for part in parts), 1)
-        small = CLOSE * np.sqrt(chain.left @ chain.left / count)
-        is_small = all(np.linalg.norm(part.own @ change) < small for part, change in zip(parts, changes))
-        is_small = is_small and bool((np.abs(step) * np.linalg.norm(chain.columns, axis=0) < small).all())
         at_end = self._prior(point) - self.known @ step
         total = sum(map(_square, parts)) + float(np.sum(self._prior(point) ** 2))
         share = 1.0 - (expected + float(np.sum(at_end**2))) / total if total else 0.0
-        return changes, step, share, is_small
+        if damping:
+            return changes, step, share, self._step(point, parts, 0.0)[3]
+        count = max(sum(len(part.rest) for part in parts), 1)
+        variance = max(chain.left @ chain.left / count, LEAST**2)
+        return changes, step, share, bool(share * total <= len(parts) * CLOSE**2 * variance)
 
     def apart_from(self, point, other):
         """(g,) step of delays and numbers from Unknowns to others."""
@@ -494,7 +496,7 @@ def without(U, x):
     return x - U @ (U.T @ x)
 
 
-def _range(J):
+def range_of(J):
     """Orthonormal basis of the range of J (N, c)."""
     if not J.shape[1]:
         return J

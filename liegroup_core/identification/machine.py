@@ -2,8 +2,9 @@
 """Runs of a scene under the inputs of a log, from one time to another, with the outputs that were measured.
 
 A run is divided at every time at which an input changes or something was measured. Each part has equal steps of the
-classical Munthe-Kaas method of order four, as few as a longest step allows, and ends where a law jumps. So the outputs
-are smooth functions of the start and of the numbers of the scene, and differences of two runs have only the errors of
+classical Munthe-Kaas method of order four, as few as a longest step allows, and ends where a law jumps. Halved steps
+end where contacts slip and stick, too: over that, errors are large, and sawteeth of the numbers. So the outputs are
+smooth functions of the start and of the numbers of the scene, and differences of two runs have only the errors of
 rounding.
 """
 
@@ -31,6 +32,9 @@ from .log import MOTION
 
 NS = 1e9
 PRESCRIBED = {"driven": True, "motion": None, "limits": None, "friction": None}  # keys of a driven joint
+# Laws.compared of kinks over which all steps go on: bends of laws that are no contacts, and of bristles, which are
+# faster than steps while they slide.
+LEAPS = 0, -2
 STEP = 1e-9  # s, of the engine: states at all times are at a step; parts of runs have steps of their own
 SHIFT = 1000.0  # s by which the engine is later than the log: delays move starts to before its first message
 
@@ -129,7 +133,7 @@ def moved(machine, segment, start, lag):
 
 
 class _Locating(Engine):
-    """Engine whose steps end where a law jumps."""
+    """Engine whose steps end where a law jumps, or bends."""
 
     LOCATES = True
 
@@ -291,7 +295,7 @@ class Machine:
         """Outputs [(r, p)] of each Measured in a Segment, from a state, then `place` (z,) of its end, (0,) without one.
 
         extra  : (m, n, COLUMNS) change of the external wrenches in each part, or None
-        halves : how often the steps are halved
+        halves : how often the steps are halved; with 0, they go on over slip and stick
         Raises SimulationError.
         """
         seen = segment.seen if segment.end < 0 else np.union1d(segment.seen, [segment.end])
@@ -318,6 +322,8 @@ class Machine:
 
     def path(self, segment, state, seen, extra=None, halves=0):
         """Path at chosen times of a Segment, from a state; seen : their numbers. Others as of `run`."""
+        if self.engine._switching is not None:
+            self.engine._switching.leaps = LEAPS if halves else (*LEAPS, -1)
         self._go(self.timed(state, segment.start))
         self._go_between_stops()
         segment = replace(segment, inputs=segment.inputs * self._factors)

@@ -3,6 +3,7 @@
 
 import sys
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,9 +13,11 @@ from volume import some
 
 from liegroup_core import SceneError, Simulation
 from liegroup_core.identification import Given, Log, Measured, Move, compare, identify, plan
+from liegroup_core.identification.chain import Part
 from liegroup_core.identification.comparison import begin, continued
 from liegroup_core.identification.log import joined
 from liegroup_core.identification.motions import motions
+from liegroup_core.identification.whiteness import Whiteness
 from liegroup_core.scene.load import scene_from_text
 
 ROTOR = "rotor: {inertia: 2.0e-5, ratio: 10}"
@@ -731,6 +734,22 @@ def test_components_that_never_change_have_the_noise_of_their_vector():
     measured = Measured("/mocap", times, ("b.rx", "b.ry", "b.rz", "b.x", "hinge.position"), values, np.full(5, np.nan))
     noise = measured.noise
     assert 0.7e-3 < noise[1] < 1.3e-3 and (noise[:3] == noise[1]).all() and (noise[3:] == 1e-12).all()
+
+
+def test_white_noise_is_white_as_often_as_is_said():
+    """Of 51 values, of which a fit explains six: at a level of 0.01 it is not in 20 of 1000 cases, if the test is off
+    by the factor of two that it allows; more than 35 have a probability of 1e-3. The chi-squared law has 64.
+    """
+    rng, x = np.random.default_rng(3), np.vander(np.linspace(-1.0, 1.0, 51), 6)
+    part, fit = Part(np.zeros(51), x, np.zeros((51, 0))), SimpleNamespace(deviation=[np.ones(1)], known=np.eye(0))
+
+    def chance(noise):
+        rest = noise - x @ np.linalg.lstsq(x, noise, rcond=None)[0]
+        return Whiteness(fit, SimpleNamespace(residuals=[[rest[:, None]]], linear=[part], firsts=[0]))(0, [0])
+
+    assert 0 < sum(chance(rng.standard_normal(51)) < 0.01 for _ in range(1000)) <= 35
+    walk = np.convolve(rng.standard_normal(51), 0.8 ** np.arange(20))[:51]
+    assert chance(walk) < 1e-3
 
 
 ROD = """

@@ -54,10 +54,8 @@ class MuntheKaas:
         self._longest = step
         self._truncated = options.get("dexpinv") == "truncated"
         stages = 1 if method.implicit else len(method.tableau.b)
-        # A step without error control may be too long for a branch that goes on beyond its end: only jumps count.
-        laws = layout.model.forces.laws
-        jumps = np.count_nonzero(laws.compared > 0) if options.get("locates", False) else 0
-        located = len(laws.kinks) if method.controlled else int(jumps)
+        locates = method.controlled or options.get("locates", False)
+        located = len(layout.model.forces.laws.kinks) if locates else 0
         self._model, self._work, self.work = model_and_work(layout, group, options, stages, located)
         self._blocks = stages + 1 + FURTHER
         self._control = SubstepControl.make()
@@ -70,7 +68,8 @@ class MuntheKaas:
         self.switching = None
         if len(self._work.guards):
             steps = self._pass, self._step, self._control, lambda: self._methods[self.chosen][0].weights, self._lead
-            self.switching = Switching(self._model, self._work, *steps, layout.touching)
+            touching = layout.touching if method.controlled else None
+            self.switching = Switching(self._model, self._work, *steps, touching)
         self.restart()
 
     def add(self, method, looser=1.0):
