@@ -192,7 +192,7 @@ class CollocationSteps:
     def _has_met(self, numbers):
         """Whether heights are zero at the end of a step up to where a longer one, which may be rough, had them zero."""
         heights = np.vstack([self._heights, self.heights])[:, numbers]
-        return (np.abs(heights[-1]) <= MET * np.abs(heights).max(axis=0)).all()
+        return (np.abs(heights[-1]) <= np.maximum(MET * np.abs(heights).max(axis=0), self.surfaces.least)).all()
 
     @property
     def _shortest(self):

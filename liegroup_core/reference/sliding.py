@@ -47,7 +47,7 @@ class Surfaces:
 
     def begin(self, function, time, state, scale):
         """Prepare steps from a state."""
-        self._least = ROUND_OFF * max(1.0, np.abs(state).max())
+        self.least = ROUND_OFF * max(1.0, np.abs(state).max())
         if not self.slides.any():
             return
         ways = SHIFT * np.eye(len(self.sides))[self.slides]
@@ -56,7 +56,7 @@ class Surfaces:
         self.heights = np.where(self.slides, heights[0], self.heights)
         self._effects, rates = ((each[: len(ways)] - each[len(ways) :]) / (2.0 * SHIFT) for each in (slopes, rates))
         self._shares = np.linalg.pinv(np.nan_to_num(rates[:, self.slides]))
-        self._round_off = self._least * np.abs(self._shares).sum()
+        self._round_off = self.least * np.abs(self._shares).sum()
 
     def correct(self, sides, slopes, heights, step):
         """Newton's step for the sides (s, c) and slopes (s, N) at the nodes of a step, where the heights are (s, c)."""
@@ -85,13 +85,13 @@ class Surfaces:
                 end = brentq(beyond, GRID[i - 1], GRID[i], xtol=1e-14) if i else 0.0
                 if end < part:
                     part, self._leaves = end, (k, float(share(GRID[i]) > 0.5))
-        if (self._above(heights) < -2.0 * np.abs(self.heights) - self._least)[:, self._held].any():
+        if (self._above(heights) < -2.0 * np.abs(self.heights) - self.least)[:, self._held].any():
             part = min(part, 0.25)
         return part
 
     def changes(self, heights):
         """Parts (p,) of a step where the side of a comparison changes, by polynomials of the heights (s, c)."""
-        free = (self.sides == FREE) & (np.abs(heights).max(axis=0) > self._least)
+        free = (self.sides == FREE) & (np.abs(heights).max(axis=0) > self.least)
         values = self._values @ (self._polynomial @ heights[:, free])
         i, k = np.nonzero(values[1:] * values[:-1] < 0.0)
         before, after = values[i, k], values[i + 1, k]
@@ -101,7 +101,7 @@ class Surfaces:
         """Sides (c,) a step keeps: `before` where given, else of the heights (c,) at its start; None if it slides."""
         if self.slides.any():
             return None
-        free, sure = self.sides == FREE, np.abs(heights) > self._least
+        free, sure = self.sides == FREE, np.abs(heights) > self.least
         found = np.where(sure, np.where(heights < 0.0, 1.0, 0.0), FREE)
         return np.where(free, np.where(before == FREE, found, before), self.sides)
 
