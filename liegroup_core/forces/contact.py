@@ -331,6 +331,14 @@ class Contact(Force):
             found |= {"friction": self.friction, "slip": slip, "settles": settles}
         return found
 
+    @property
+    def facts(self):
+        """{"shapes": {body: type}, "plane": {"point", "normal"} or None, "load": N} and `numbers`, once complete."""
+        shapes, load, _ = self._given
+        shapes = {body: shape.type for body, shape in zip((self.body, self.other), shapes)}
+        plane = {"point": list(self.plane.point), "normal": self.plane.unit.tolist()} if self.other is None else None
+        return {"shapes": shapes, "plane": plane, "load": load, **self.numbers}
+
     @cached_property
     def as_law(self):
         """Law with its formulas, once it is complete."""

@@ -757,7 +757,10 @@ def test_derivatives_of_a_bounce_are_those_of_its_closed_form():
             "stiffness: 1, damping: 1, other_shape: {type: sphere, radius: 1}",
             "^test:6: .*other is missing: name the body that has other_shape",
         ),
-        ("stiffness: 1, damping: 1, shape: {type: hull, points: []}", "must be 1 to 64 points"),
+        (
+            f"stiffness: 1, damping: 1, shape: {{type: hull, points: {[[0, 0, 0]] * 65}}}",
+            "64 points .*got a list of 65$",
+        ),
         (
             "sinks: 1e-300, damping: 1",
             "sinks 1e-300 gives a depth of 1e-300 m at rest; double precision resolves 2.2e-14",
