@@ -56,6 +56,7 @@ from .described import Force
 from .law import Law, LawInput, LawOutput, LawState
 
 MOST_POINTS = 64  # of a hull
+DEEP = 3.0  # of the depth under the load: from there on a point at the start leaps by 4.5 times that, if undamped
 STANDING = 1e-9  # a cylinder that leans less stands: its four points of a rim do not turn to the lowest one
 LIGHT = 0.03  # of the load: n below. A point that slides and hardly presses yields by 3 % of s, not by nothing
 ROUND = ("sphere", "capsule")
@@ -331,6 +332,16 @@ class Contact(Force):
             found |= {"friction": self.friction, "slip": slip, "settles": settles}
         return found
 
+    def depth_in_plane(self, body):
+        """Depth of its deepest point in its plane at the start of a Body, m; once it is complete."""
+        (shape, *_), normal = self._given[0], self.plane.unit
+        down = -body.rotation.T @ normal
+        if shape.type in ("cylinder", "rod"):
+            points, radius = _ends(shape), shape.radius * math.sqrt(max(0.0, 1.0 - (down @ shape.rotation[:, 2]) ** 2))
+        else:
+            points, radius = _corners(shape)
+        return float((np.array(points) @ down).max() + radius + self.plane.height - normal @ body.position)
+
     @property
     def facts(self):
         """{"shapes": {body: type}, "plane": {"point", "normal"} or None, "load": N} and `numbers`, once complete."""
@@ -403,6 +414,24 @@ def outline(shape, around=32):
         half[:, 2] += 0.5 * getattr(shape, "length", 0.0)
         local = np.unique(np.concatenate([half, half * (1.0, 1.0, -1.0)]), axis=0)
     return np.array(shape.position) + local @ shape.rotation.T
+
+
+def note_of_starts(scene):
+    """Note on contacts of a Scene that start deep inside their planes, a list: of several the deepest one."""
+    found, poses = [], {body.name: body for body in scene.bodies}
+    for force in scene.forces:
+        if force.type == "contact" and force.other is None and force._given[1]:
+            rest, depth = force._given[1] / force.numbers["stiffness"], force.depth_in_plane(poses[force.body])
+            if depth > DEEP * rest:
+                found.append((depth / rest, depth, force))
+    if not found:
+        return []
+    times, depth, force = max(found, key=lambda each: each[0])
+    more = f" (and {len(found) - 1} more)" if len(found) > 1 else ""
+    return [
+        f"changes the motion: start inside a plane, which throws out {force.body}: {depth:.3g} m deep in contact "
+        f"{force.name}{more}, {times:.0f} times its depth under the load; start higher, or lower the plane"
+    ]
 
 
 def stiffest(forces):

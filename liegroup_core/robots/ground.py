@@ -110,11 +110,6 @@ def add_contacts(robot, options, grouping, parts, body_of, taken):
         group = grouping.of_link[root]
         height = (group.pose @ group.places[root])[2, 3]
         notes.append(f"starts on the ground: {name} touches it, the origin of the root link is at {height:.3g} m")
-    elif depth > ground.sinks:
-        notes.append(
-            f"changes the motion: start inside the ground, which throws the robot up: {name} by {depth:.3g} m; give "
-            "its root link a start, or the ground a height"
-        )
     return notes
 
 

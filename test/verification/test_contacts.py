@@ -492,6 +492,13 @@ def test_wrenches_and_points_are_those_of_newton_and_euler(kind, other, friction
     else:
         pose[0, 9:] += (made.sample(pose, twist).signals["c.depth"] - 0.01) * normal
     sample = made.sample(pose, twist)
+    if not other:  # such a start, 0.01 m deep, is noted if that is above 3 times the weight over 1e4 N/m
+        start = f"position: {pose[0, 9:].tolist()}, rotation_vector: {turn.as_rotvec().tolist()}"
+        bodies = [f"{{name: b, mass: 2, inertia: [1, 1, 1], {start}}}"]
+        deep, not_deep = (scene(bodies, [f"name: c, body: b, {shape}, {touches}"], g) for g in (1.6 * G, 1.8 * G))
+        depth = deep.forces[0].depth_in_plane(deep.bodies[0])
+        assert depth == pytest.approx(sample.signals["c.depth"], abs=1e-14) and not not_deep.notes
+        assert "out b: 0.01 m deep in contact c, 3 times its depth under the load" in deep.notes[0]
     wrench, w, dv = sample.contact_wrenches["c"], twist[0, :3], sample.accelerations["b"]
     assert sample.signals["c.normal_force"] > 0.0
     force = 2.0 * (dv[3:] + np.cross(dv[:3], com) + np.cross(w, np.cross(w, com)) + turn.inv().apply([0, 0, G]))
@@ -675,10 +682,13 @@ def test_capsules_that_meet_broadside_keep_their_energy(other, turn, more):
     assert sample.energy == pytest.approx(0.5, abs=12 * 1e-6)
 
 
-@pytest.mark.parametrize("speed", [1.0, 30.0])
-def test_a_ball_that_dives_into_a_box_is_pushed_out(speed):
-    """Its centre is behind the face for a time: the spring acts on, x = v/w sin w t, and the speed is reversed."""
-    rate = speed / 0.15
+@pytest.mark.parametrize("speed, depth", [(1.0, 0.15), (30.0, 0.15), (1.0, 0.4)])
+def test_a_ball_that_dives_into_a_box_is_pushed_out(speed, depth, caplog):
+    """Its centre is behind the face for a time: the spring acts on, x = v/w sin w t, and the speed is reversed.
+
+    Beyond the radius and half the box, 0.6 m, it would come out on the other side: half of that is told.
+    """
+    rate = speed / depth
     bodies = [
         f"{{name: ball, shape: {{type: sphere, radius: 0.1, mass: 1}}, linear_velocity: [{speed}, 0, 0]}}",
         "{name: box, mass: 1, inertia: [1, 1, 1], position: [0.8, 0, 0]}",
@@ -686,12 +696,13 @@ def test_a_ball_that_dives_into_a_box_is_pushed_out(speed):
     box = "shape: {type: sphere, radius: 0.1}, other_shape: {type: box, size: [1, 1, 1]}"
     hit = f"name: hit, body: ball, other: box, {box}, stiffness: {rate**2}, damping: 0"
     held = "joints:\n  - {name: fix, type: fixed, parent: world, child: box, parent_frame: {}}\n"
-    simulation = Simulation(scene(bodies, [hit], gravity=0.0, more=held), accuracy=1e-8, quiet=True)
+    simulation = Simulation(scene(bodies, [hit], gravity=0.0, more=held), accuracy=1e-8)
     touch, end = 0.2 / speed, 0.2 / speed + math.pi / rate
     simulation.advance_to(0.5 * (touch + end))
-    assert simulation.sample().pose[0, 9] == pytest.approx(0.35, abs=1e-7)
+    assert simulation.sample().pose[0, 9] == pytest.approx(0.2 + depth, abs=1e-7)
     simulation.advance_to(end + 0.1 / speed)
     assert simulation.sample().twist[0, 3] == pytest.approx(-speed, rel=1e-7)
+    assert ("m deep; its bodies pass through each other at 0.6 m" in caplog.text) == (depth > 0.3)
 
 
 @pytest.mark.parametrize("aside", [0.0, 0.04])
