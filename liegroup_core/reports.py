@@ -138,7 +138,7 @@ class Warnings:
                 "A second of the motion takes %.2g s of CPU time at t = %.3g s: %s",
                 self._spent / max(advanced, engine.step),
                 engine.time,
-                _cause_of_cost(engine),
+                cause_of_cost(engine),
             )
         self._since, self._spent = engine.time, 0.0
 
@@ -167,7 +167,7 @@ def notes_on_motions(layout):
     return notes
 
 
-def _cause_of_cost(engine):
+def cause_of_cost(engine):
     """What makes a run slow, and what helps."""
     switching, steps = engine._switching, max(1, engine.steps)
     accepted, attempted = engine.substeps
@@ -194,7 +194,8 @@ def _cause_of_cost(engine):
         else:
             text += f"{'a coarser accuracy' if _to_accuracy(engine) else 'a larger tolerance'} has fewer"
         return "; ".join([text, *stiff])
-    return f"{len(engine.scene.bodies)} bodies with steps of {engine.step:g} s; larger steps cost less"
+    count = len(engine.scene.bodies)
+    return f"{count} {'body' if count == 1 else 'bodies'} with steps of {engine.step:g} s; larger steps cost less"
 
 
 def _names_of_switches(engine, numbers):
