@@ -333,7 +333,7 @@ class Contact(Force):
         return found
 
     def depth_in_plane(self, body):
-        """Depth of its deepest point in its plane at the start of a Body, m; once it is complete."""
+        """Depth of its deepest point in its plane, m; body : with `rotation` (3, 3) and `position` (3,) m."""
         (shape, *_), normal = self._given[0], self.plane.unit
         down = -body.rotation.T @ normal
         if shape.type in ("cylinder", "rod"):
@@ -341,6 +341,13 @@ class Contact(Force):
         else:
             points, radius = _corners(shape)
         return float((np.array(points) @ down).max() + radius + self.plane.height - normal @ body.position)
+
+    def too_deep(self, body):
+        """(depth over that under the load, depth in m) in its plane, as `depth_in_plane`; (0, 0): that is not deep."""
+        _, load, _ = self._given
+        depth = self.depth_in_plane(body) if self.other is None and load else 0.0
+        rest = load / self.numbers["stiffness"]
+        return (depth / rest, depth) if depth > DEEP * rest else (0.0, 0.0)
 
     @property
     def facts(self):
@@ -418,12 +425,9 @@ def outline(shape, around=32):
 
 def note_of_starts(scene):
     """Note on contacts of a Scene that start deep inside their planes, a list: of several the deepest one."""
-    found, poses = [], {body.name: body for body in scene.bodies}
-    for force in scene.forces:
-        if force.type == "contact" and force.other is None and force._given[1]:
-            rest, depth = force._given[1] / force.numbers["stiffness"], force.depth_in_plane(poses[force.body])
-            if depth > DEEP * rest:
-                found.append((depth / rest, depth, force))
+    bodies = {body.name: body for body in scene.bodies}
+    found = [(*force.too_deep(bodies[force.body]), force) for force in scene.forces if force.type == "contact"]
+    found = [each for each in found if each[0]]
     if not found:
         return []
     times, depth, force = max(found, key=lambda each: each[0])

@@ -306,6 +306,52 @@ def test_trim_finds_what_stands_on_a_slope_up_to_the_cone(height):
         assert found.pose[0, 9:] @ normal == pytest.approx(0.05 - 0.25 * sinks * math.cos(angle), abs=1e-8)
 
 
+def table(feet, height, tilt):
+    """A trunk on legs, which servos hold at 0.5 rad outwards, with balls without damping and friction as feet."""
+    turn = Rotation.from_rotvec(tilt)
+
+    def placed(at, lean=0.0):
+        turned = (turn * Rotation.from_rotvec([0.0, -lean, 0.0])).as_rotvec().tolist()
+        return f"position: {(turn.apply(at) + [0, 0, height]).tolist()}, rotation_vector: {turned}"
+
+    bodies, joints, forces = [f"{{name: trunk, mass: 8, inertia: [0.1, 0.2, 0.25], {placed([0, 0, 0])}}}"], [], []
+    for k, (x, y) in enumerate(feet):
+        lean = math.copysign(0.5, x)
+        place = placed([x + 0.2 * math.sin(lean), y, -0.2 * math.cos(lean)], lean)
+        bodies.append(f"{{name: leg{k}, mass: 0.5, inertia: [0.01, 0.01, 0.001], {place}}}")
+        frames = (
+            f"parent_frame: {{position: [{x}, {y}, 0], axis: [0, -1, 0]}}, child_frame: {{position: [0, 0, 0.2], axis: "
+        )
+        joints.append(f"{{name: hip{k}, type: revolute, parent: trunk, child: leg{k}, {frames}[0, -1, 0]}}}}")
+        forces.append(f"{{name: servo{k}, type: servo, joint: hip{k}, position: {lean}, stiffness: 60, damping: 1}}")
+        ball = "shape: {type: sphere, radius: 0.02, position: [0, 0, -0.2]}, sinks: 1e-3, damping: 0"
+        forces.append(f"{{name: foot{k}, type: contact, body: leg{k}, {ball}}}")
+    entries = (", ".join(each) for each in (bodies, joints, forces))
+    return scene_from_text(
+        "{{name: t, gravity: [0, 0, -{}], bodies: [{}], joints: [{}], forces: [{}]}}".format(G, *entries)
+    )
+
+
+@pytest.mark.parametrize("height", [0.2, 0.37, 0.9])
+@pytest.mark.parametrize("tilt", [(0.0, 0.0, 0.0), (0.2, 0.3, 0.0), (-0.4, 0.3, 0.2)])
+def test_trim_stands_a_robot_on_its_legs_from_the_air_and_from_inside_the_ground(tilt, height):
+    """Of each leg k (q - 0.5) = (N l - m g l / 2) sin q, N a quarter of the weight. On two feet it tips over."""
+    feet = [(x, y) for x in (0.3, -0.3) for y in (0.2, -0.2)]
+    found = trim(Simulation(table(feet, height, tilt), quiet=True))
+    weight = 10.0 * G
+
+    def moment(q):
+        return (0.25 * weight * 0.4 - 0.5 * G * 0.2) * math.sin(q) - 60.0 * (q - 0.5)
+
+    # 1e-10 of the first accelerations, 1e-8 rad/s^2 at most, may remain: over (60 N m/rad) / (0.03 kg m^2), 5e-12.
+    q = scipy.optimize.brentq(moment, 0.1, 1.5, xtol=1e-14)
+    assert_allclose(list(found.joints.values()), [q, q, -q, -q], atol=1e-11)
+    assert found.pose[0, 11] == pytest.approx(0.4 * math.cos(q) + 0.02 - 0.25e-3, abs=1e-11)
+    assert found.is_steady
+    with pytest.raises(TrimError, match="left to itself trunk tips over or rolls away"):
+        trim(Simulation(table(feet[:2], height, tilt), quiet=True))
+
+
 REST = math.sqrt(1.0 + math.sqrt(2.0))  # the bristle of a point that slides: 2 b^2 (b^2 - 1) = b^4 + 1
 BLOCK = "{name: block, mass: 2, inertia: [1, 1, 1], position: [0, 0, -1e-4], linear_velocity: [1, 0, 0]}"
 
