@@ -423,6 +423,14 @@ def outline(shape, around=32):
     return np.array(shape.position) + local @ shape.rotation.T
 
 
+def faces(points):
+    """(m, 3) numbers of the corners of the triangles of the convex hull of points (k, 3); each is seen from outside."""
+    hull = scipy.spatial.ConvexHull(points)
+    one, other = np.diff(points[hull.simplices], axis=1).swapaxes(0, 1)
+    turned = (np.cross(one, other) * hull.equations[:, :3]).sum(axis=1) < 0.0
+    return np.where(turned[:, None], hull.simplices[:, ::-1], hull.simplices)
+
+
 def note_of_starts(scene):
     """Note on contacts of a Scene that start deep inside their planes, a list: of several the deepest one."""
     bodies = {body.name: body for body in scene.bodies}
