@@ -6,6 +6,7 @@ JSON types, computed without taking a step; independent of the machine.
 
 import numpy as np
 
+from liegroup_core.forces.law import states_of
 from liegroup_core.joints.elements import WORLD
 from liegroup_core.mechanism.body_model import initial_state
 from liegroup_core.mechanism.mechanism import tree_of
@@ -41,7 +42,7 @@ def describe(layout):
                             joint, kg m^2 or kg, 0 without one
         stops_and_friction  [{joint, limits, friction, modes}]: as in the scene, None if there are none;
                             modes: which it can be in, as Sample.modes
-        forces, sensors     [{name, type, on}]; on: names of its bodies, or of its joint
+        forces, sensors     [{name, type, on}]; on: names of its bodies, or of its joint; of a contact also `facts`
         undetermined        {joint: why components of its reaction are undetermined}
         degrees_of_freedom  6 n minus the number of independent rows; larger at singular poses
         rows, solved_rows   number of rows of all joints, with and without redundant ones
@@ -104,6 +105,7 @@ def describe(layout):
         "forces": [
             {"name": force.name, "type": force.type, "on": _acts_on(force)}
             | ({"signals": force.as_law.shown} if hasattr(force, "as_law") else {})
+            | (force.facts if force.type == "contact" else {})
             for force in scene.forces
         ],
         "sensors": [{"name": sensor.name, "type": sensor.type, "on": _acts_on(sensor)} for sensor in scene.sensors],
@@ -198,7 +200,7 @@ def formulation(layout):
     """Configuration space of the relative coordinates, and why the scene needs it.
 
     returns dict of
-        coordinates      dimension of the relative configuration space, before cut joints
+        coordinates      dimension of the relative configuration space, before cut joints, without states of laws
         tree             [{bodies, joint, parent, group}] of every link: its bodies, welded if several;
                          the joint that holds it and the bodies of its parent link, and its motion
                          group; None for a floating link
@@ -216,7 +218,7 @@ def formulation(layout):
                 kept = r in relative.kept_rows(element)
                 entry["rows" if kept else "dropped"].append(name)
     return {
-        "coordinates": int(relative.links["freedoms"].sum()),
+        "coordinates": int(relative.links["freedoms"].sum()) - len(states_of(scene.forces)),
         "tree": [
             {
                 "bodies": list(tree.members[group]),

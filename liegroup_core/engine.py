@@ -21,7 +21,7 @@ from liegroup_core.forces.sampled import Sampling
 from liegroup_core.inputs import Inputs
 from liegroup_core.joint_events import JointEvents
 from liegroup_core.layout import Layout, make_layout
-from liegroup_core.mechanism.bodies import LARGEST_TURN, SINGULAR_SOLVES
+from liegroup_core.mechanism.bodies import DEEPEST, LARGEST_TURN, SINGULAR_SOLVES
 from liegroup_core.mechanism.body_model import initial_state
 from liegroup_core.methods.families import choose_group, make_integrator
 from liegroup_core.methods.table import METHODS
@@ -239,7 +239,7 @@ class Engine:
     def _start_at(self, pose, twist, instant, angles):
         """Start again from a valid state at an Instant; the engine takes over its arrays."""
         self._work.angle[:] = angles
-        self._work.report[LARGEST_TURN] = 0.0
+        self._work.report[LARGEST_TURN] = self._work.report[DEEPEST] = 0.0
         self._pose, self._twist = pose, twist
         self.base = self.now = instant
         self._here, self._served = None, -1

@@ -7,11 +7,11 @@ from time import thread_time
 
 import numpy as np
 
-from liegroup_core.forces.contact import stiff_note
+from liegroup_core.forces.contact import LOOK, stiff_note
 from liegroup_core.forces.law import owners_of_kinks, undefined_of
 from liegroup_core.joints.limits import BeyondLimits
 from liegroup_core.joints.motion import at, overshoot
-from liegroup_core.mechanism.bodies import LARGEST_TURN, NEAR_SOLVES, SINGULAR_SOLVES, STEP_TURN
+from liegroup_core.mechanism.bodies import DEEPEST, DEEPEST_OF, LARGEST_TURN, NEAR_SOLVES, SINGULAR_SOLVES, STEP_TURN
 from liegroup_core.methods.smaller_step import step_that_works
 from liegroup_core.methods.table import METHODS
 from liegroup_core.observables.reach import beyond_reach
@@ -36,6 +36,7 @@ log = logging.getLogger("liegroup_core")
 # Statuses that fast motion may cause.
 FAST = {ROTATION_TOO_LARGE, TURNS_NOT_COUNTED, NOT_CONVERGED, SUBSTEP_TOO_SMALL, TOO_MANY_SUBSTEPS, NOT_FINITE}
 PATIENCE = 0.5  # s of CPU time
+DEEP = 0.5  # of the depth from which on a contact pushes two bodies apart on the other side
 STEPS_OF_EVENT = 5  # steps of the method that find the time of an event, about
 FEW = 4  # substeps in a step
 OF_CONTACTS = "contacts cost less with less stiffness, more damping, a longer slip, or fewer points"
@@ -83,11 +84,10 @@ class Warnings:
                 else "If the mechanism only passes this configuration, use stabilisation projection. ",
             )
         if report[NEAR_SOLVES] and not report[SINGULAR_SOLVES] and self._is_new("near"):
-            steps, more = engine.lead
             log.warning(
                 "Before t = %g s a closed loop passes a singular configuration, or 0.1 rad beside one: two "
                 "motions satisfy its joints there. The run goes straight on; small differences decide for a machine",
-                max(engine.time, steps * engine.step + more),
+                _reached(engine),
             )
         if switching is not None and switching.endless and self._is_new("endless"):
             log.warning(
@@ -99,6 +99,16 @@ class Warnings:
         if engine.layout.motions and self._is_new("motions"):
             for note in notes_on_motions(engine.layout):
                 log.warning("%s", note)
+        if report[DEEPEST] * LOOK > DEEP and self._is_new("deep"):
+            row = engine.layout.model.forces.laws.closing[int(report[DEEPEST_OF])]
+            log.warning(
+                "Before t = %g s contact %s is %.2g m deep; its bodies pass through each other at %.2g m: give it more "
+                "stiffness",
+                _reached(engine),
+                owners_of_kinks(engine.layout.centred.forces)[row["kink"]],
+                report[DEEPEST] * row["size"],
+                row["size"] / LOOK,
+            )
         self._give_of_cost(engine)
         controlled = METHODS[engine.method].controlled  # then tolerances limit substeps, whatever they turn
         if not controlled and self._is_new("contact"):
@@ -128,9 +138,15 @@ class Warnings:
                 "A second of the motion takes %.2g s of CPU time at t = %.3g s: %s",
                 self._spent / max(advanced, engine.step),
                 engine.time,
-                _cause_of_cost(engine),
+                cause_of_cost(engine),
             )
         self._since, self._spent = engine.time, 0.0
+
+
+def _reached(engine):
+    """Time in s up to which an Engine has integrated, which may be ahead of its own."""
+    steps, more = engine.lead
+    return max(engine.time, steps * engine.step + more)
 
 
 def notes_on_motions(layout):
@@ -151,7 +167,7 @@ def notes_on_motions(layout):
     return notes
 
 
-def _cause_of_cost(engine):
+def cause_of_cost(engine):
     """What makes a run slow, and what helps."""
     switching, steps = engine._switching, max(1, engine.steps)
     accepted, attempted = engine.substeps
@@ -178,7 +194,8 @@ def _cause_of_cost(engine):
         else:
             text += f"{'a coarser accuracy' if _to_accuracy(engine) else 'a larger tolerance'} has fewer"
         return "; ".join([text, *stiff])
-    return f"{len(engine.scene.bodies)} bodies with steps of {engine.step:g} s; larger steps cost less"
+    count = len(engine.scene.bodies)
+    return f"{count} {'body' if count == 1 else 'bodies'} with steps of {engine.step:g} s; larger steps cost less"
 
 
 def _names_of_switches(engine, numbers):

@@ -32,7 +32,7 @@ from liegroup_core.dynamics.switches import (
     set_branch_guards,
     set_guards,
 )
-from liegroup_core.forces.formulas import OPEN
+from liegroup_core.forces.formulas import BELOW, OPEN
 from liegroup_core.forces.law import (
     branch_matters,
     branch_of,
@@ -44,6 +44,7 @@ from liegroup_core.forces.law import (
 )
 from liegroup_core.lie.vec3 import dot3, load3, load9, matvec3, sub3
 from liegroup_core.mechanism.arrays import COORDINATE, NODES, RESTS, SIDE, SLIP
+from liegroup_core.mechanism.bodies import DEEPEST, DEEPEST_OF
 
 NONE, IDLE = -1.0, -2.0  # in Work.crossed: the guard is not crossed; without effect at the end of the step
 CALM, CROSSED, AGAIN = 0, 1, 2  # results of `crossed`
@@ -411,4 +412,18 @@ def crossed(model, work, h, weights):
         if work.branches[k] == OPEN:
             _close_branch(work, weights, k, len(model.switches) + k)
     work.pace[0] = _longest(model, work, END)
+    if not found:
+        _note_depths(model, work)
     return CROSSED if found else CALM
+
+
+@kernel
+def _note_depths(model, work):
+    """Note the largest depth of a contact of two bodies at the end of a step."""
+    closing = model.space.forces.laws.closing
+    for j in range(len(closing)):
+        k = closing[j]["kink"]
+        if closing[j]["bodies"][1] >= 0 and work.branches[k] == BELOW:  # 0 < depth
+            part = work.guards[len(model.switches) + k, LEAST] / closing[j]["size"]
+            if part > work.report[DEEPEST]:
+                work.report[DEEPEST], work.report[DEEPEST_OF] = part, j

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Times of the events of stops and dry friction: zeros of guards within a substep.
+"""Times of the events of stops, dry friction and laws, as those of contacts: zeros of guards within a substep.
 
 Steps of the method from the start of the substep to a variable time give the guard at that time. So an
 event is as accurate as the method.

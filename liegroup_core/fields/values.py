@@ -60,6 +60,8 @@ def shown(value):
     """Short text of any value, for a message."""
     if value is None:
         return "nothing"
+    if isinstance(value, (list, tuple)) and len(value) > SHOWN and isinstance(value[0], (list, tuple)):
+        return f"a list of {len(value)}"
     value = _plain(value)
     short = reprlib.Repr()
     short.maxlist = short.maxtuple = short.maxdict = SHOWN

@@ -56,6 +56,7 @@ from .described import Force
 from .law import Law, LawInput, LawOutput, LawState
 
 MOST_POINTS = 64  # of a hull
+DEEP = 3.0  # of the depth under the load: from there on a point at the start leaps by 4.5 times that, if undamped
 STANDING = 1e-9  # a cylinder that leans less stands: its four points of a rim do not turn to the lowest one
 LIGHT = 0.03  # of the load: n below. A point that slides and hardly presses yields by 3 % of s, not by nothing
 ROUND = ("sphere", "capsule")
@@ -333,6 +334,31 @@ class Contact(Force):
             found |= {"friction": self.friction, "slip": slip, "settles": settles}
         return found
 
+    def depth_in_plane(self, body):
+        """Depth of its deepest point in its plane, m; body : with `rotation` (3, 3) and `position` (3,) m."""
+        (shape, *_), normal = self._given[0], self.plane.unit
+        down = -body.rotation.T @ normal
+        if shape.type in ("cylinder", "rod"):
+            points, radius = _ends(shape), shape.radius * math.sqrt(max(0.0, 1.0 - (down @ shape.rotation[:, 2]) ** 2))
+        else:
+            points, radius = _corners(shape)
+        return float((np.array(points) @ down).max() + radius + self.plane.height - normal @ body.position)
+
+    def too_deep(self, body):
+        """(depth over that under the load, depth in m) in its plane, as `depth_in_plane`; (0, 0): that is not deep."""
+        _, load, _ = self._given
+        depth = self.depth_in_plane(body) if self.other is None and load else 0.0
+        rest = load / self.numbers["stiffness"]
+        return (depth / rest, depth) if depth > DEEP * rest else (0.0, 0.0)
+
+    @property
+    def facts(self):
+        """{"shapes": {body: type}, "plane": {"point", "normal"} or None, "load": N} and `numbers`, once complete."""
+        shapes, load, _ = self._given
+        shapes = {body: shape.type for body, shape in zip((self.body, self.other), shapes)}
+        plane = {"point": list(self.plane.point), "normal": self.plane.unit.tolist()} if self.other is None else None
+        return {"shapes": shapes, "plane": plane, "load": load, **self.numbers}
+
     @cached_property
     def as_law(self):
         """Law with its formulas, once it is complete."""
@@ -397,6 +423,29 @@ def outline(shape, around=32):
         half[:, 2] += 0.5 * getattr(shape, "length", 0.0)
         local = np.unique(np.concatenate([half, half * (1.0, 1.0, -1.0)]), axis=0)
     return np.array(shape.position) + local @ shape.rotation.T
+
+
+def faces(points):
+    """(m, 3) numbers of the corners of the triangles of the convex hull of points (k, 3); each is seen from outside."""
+    hull = scipy.spatial.ConvexHull(points)
+    one, other = np.diff(points[hull.simplices], axis=1).swapaxes(0, 1)
+    turned = (np.cross(one, other) * hull.equations[:, :3]).sum(axis=1) < 0.0
+    return np.where(turned[:, None], hull.simplices[:, ::-1], hull.simplices)
+
+
+def note_of_starts(scene):
+    """Note on contacts of a Scene that start deep inside their planes, a list: of several the deepest one."""
+    bodies = {body.name: body for body in scene.bodies}
+    found = [(*force.too_deep(bodies[force.body]), force) for force in scene.forces if force.type == "contact"]
+    found = [each for each in found if each[0]]
+    if not found:
+        return []
+    times, depth, force = max(found, key=lambda each: each[0])
+    more = f" (and {len(found) - 1} more)" if len(found) > 1 else ""
+    return [
+        f"changes the motion: start inside a plane, which throws out {force.body}: {depth:.3g} m deep in contact "
+        f"{force.name}{more}, {times:.0f} times its depth under the load; start higher, or lower the plane"
+    ]
 
 
 def stiffest(forces):

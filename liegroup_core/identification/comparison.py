@@ -38,7 +38,7 @@ BY_CHANCE = 3.0 * 2.7
 # all but 1/G of what delays and numbers change: of what is left, the error is 1e-8 G^2, here 1e-2.
 PARTED = 1e3
 LOST = 1e4  # growth in one run from which on that error is as large as what is left: such a run cannot be fitted
-FIRST_PART = 1.0 / 64.0  # of a recording, in which the growth of one run is looked for first
+FIRST_PART = 1.0 / 64.0  # of a recording: the growth of one run is measured there first
 LONGEST = 0.01  # s, first longest step; it is halved until the errors are a small part of the noise
 # Of the time T in which a contact acts: one that begins within a step h changes the speed by (h / T)^2 / 8 too much.
 OF_CONTACT = 1.0 / 16.0

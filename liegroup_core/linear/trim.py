@@ -4,7 +4,8 @@
 An equilibrium has z' = 0 and z'' = 0; in a steady motion given rates stay constant and all other coordinates
 rest. Newton's method finds it on the closed mechanism, with the derivatives of tangents.py. Where a
 coordinate has no influence (a free motion, or one that the inputs balance anywhere), the nearest solution is taken.
-States of laws that only motion changes, as the strain of a point that presses, go with the motion.
+States of laws that only motion changes, as the strain of a point that presses, go with the motion. Where contacts are
+to carry what has no equilibrium close by, the motion leads to one, see settling.py.
 """
 
 from dataclasses import dataclass
@@ -21,8 +22,10 @@ from .differences import derivative
 from .friction import Resting, Stops, stick
 from .linear_system import LinearSystem, change_of, system_of
 from .probe import Probe, refuse_sliding
+from .settling import lifted, rests
 
 MOST_STEPS = 100
+FEW_STEPS = 8  # on contacts, before the motion leads to another state, see settling.py
 LARGEST_TURN = 0.3  # rad, or share of the mechanism's size, in a direction of a step
 NO_INFLUENCE = 1e-9  # relative singular value of a free motion
 FOUND = 1e-10  # of the first accelerations plus gravity
@@ -85,14 +88,33 @@ def trim(simulation, rates=None, held=(), inputs=None, time=None):
     held   : coordinates that keep their positions, such as those that inputs hold
     inputs : names of inputs to find, see channels.py; those of the smallest sum of squares. Dry friction of joints
              that rest holds only what they cannot
-    Raises SceneError for unknown names, TrimError if there is no equilibrium near the state.
+    Raises SceneError for unknown names, TrimError if there is no equilibrium near the state. With contacts, and without
+    `rates` and `held`, that is where the mechanism comes to rest.
     """
     probe = Probe(simulation, time)
     refuse_sliding(probe, "trim")
-    return _found(probe, rates or {}, held, inputs or ())
+    rates = rates or {}
+    if not probe.layout.touching.names or probe.layout.motions or any(rates.values()) or held:
+        return _found(probe, rates, held, inputs or ())
+    if (sample := lifted(probe.layout, probe.base)) is not None:
+        probe.take(sample)
+    samples = rests(simulation, probe.base)
+    while True:
+        try:
+            return _found(probe, rates, held, inputs or (), FEW_STEPS)
+        except TrimError as error:
+            failed = error
+        try:
+            sample = next(samples, None)
+        except SimulationError as error:
+            raise TrimError(f"no equilibrium near the state: {error}") from None
+        if sample is None:
+            raise failed
+        probe = Probe(simulation, time)
+        probe.take(sample)
 
 
-def _found(probe, rates, held, names):
+def _found(probe, rates, held, names, most=MOST_STEPS):
     preferred = (*rates, *held)
     inputs = InputChannels(probe, names)
     # Dry friction holds the coordinates that keep their positions; whether it can is checked at the end.
@@ -103,7 +125,7 @@ def _found(probe, rates, held, names):
     own = Coordinates(probe).is_state
     moves = np.abs(probe.closed()[0][~own]).max(initial=0.0) > MOVES and not any(rates.values())
     advice = "; the state moves: name rates that stay constant" if moves else ""
-    for _ in range(MOST_STEPS):
+    for _ in range(most):
         coordinates = _at_rates(probe, rates, preferred)
         fixed = [coordinates.number(name) for name in preferred]
         rows, columns = coordinates.rate_scales, coordinates.scales
@@ -140,7 +162,7 @@ def _found(probe, rates, held, names):
     kind, size = "steady motion" if any(rates.values()) else "equilibrium", probe.layout.size
     raise TrimError(
         f"no {kind} near the state: an acceleration of {remaining:.3g} rad/s^2, or {remaining * size:.3g} m/s^2, "
-        f"remains after {MOST_STEPS} steps{advice}{kept}"
+        f"remains after {most} steps{advice}{kept}"
     )
 
 

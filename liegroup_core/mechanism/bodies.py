@@ -21,8 +21,9 @@ BODY = np.dtype([
 
 # Numbers of Work.report: largest squared rotation of a stage, rad^2, so far and in this step; number of
 # solves at a singular pose; smallest pivot of W; round-off in accelerations of this step; number of factors of W
-# near a singular pose.
-LARGEST_TURN, STEP_TURN, SINGULAR_SOLVES, PIVOT, ROUND_OFF, NEAR_SOLVES = range(6)
+# near a singular pose; largest depth of a contact of two bodies at the end of a step without events, over
+# Laws.closing["size"], and its number there.
+LARGEST_TURN, STEP_TURN, SINGULAR_SOLVES, PIVOT, ROUND_OFF, NEAR_SOLVES, DEEPEST, DEEPEST_OF = range(8)
 
 
 class CallTimes(Record):
@@ -66,7 +67,7 @@ class Work(Struct):
     stage_pose: np.ndarray         # (n, 12)
     stage_twist: np.ndarray        # (n, 6)
     slopes: np.ndarray             # ((s + 1) n, 12) k of stages and end: algebra, then velocity part
-    report: np.ndarray             # (6,) LARGEST_TURN, STEP_TURN, SINGULAR_SOLVES, PIVOT, ROUND_OFF, NEAR_SOLVES
+    report: np.ndarray             # (8,) LARGEST_TURN .. DEEPEST_OF
 
 
 def make_work(model, stages):
@@ -78,7 +79,7 @@ def make_work(model, stages):
         targets=target_values(model.forces), registers=model.forces.laws.registers.copy(),
         motions=model.motions.copy(), clock=CallTimes.make(),
         stage_pose=np.zeros((n, 12)), stage_twist=np.zeros((n, 6)),
-        slopes=np.zeros(((stages + 1) * n, 12)), report=np.zeros(6))
+        slopes=np.zeros(((stages + 1) * n, 12)), report=np.zeros(8))
 
 
 @kernel

@@ -56,7 +56,7 @@ def add_contacts(robot, options, grouping, parts, body_of, taken):
         for name, *_ in robot.planes:
             robot.leave_out("planes that touch: those of --ground if it has no height", name)
     if ground is None and every:
-        return [f"changes the motion: no contact, {_counted(every)} without effect: bodies pass through each other"]
+        return [f"changes the motion: no contact, bodies pass through each other: without effect {_counted(every)}"]
     if ground is None:
         return []
     touching = [link for link in robot.links.values() if grouping.of_link[link.name] is not grouping.world]
@@ -98,7 +98,7 @@ def add_contacts(robot, options, grouping, parts, body_of, taken):
         notes.append(f"ground: {listed([name for name, *_ in robot.planes])}")
     others = [name for name in every if name in touching and ground.links and name not in ground.links]
     if others:
-        notes.append(f"changes the motion: {_counted(others)} do not touch the ground")
+        notes.append(f"changes the motion: the ground does not touch {_counted(others)}")
     if left:
         notes.append(f"changes the motion: collision shapes that do not touch the ground: {listed(left)}")
     depth, name = max(depths, default=(0.0, ""))
@@ -110,11 +110,6 @@ def add_contacts(robot, options, grouping, parts, body_of, taken):
         group = grouping.of_link[root]
         height = (group.pose @ group.places[root])[2, 3]
         notes.append(f"starts on the ground: {name} touches it, the origin of the root link is at {height:.3g} m")
-    elif depth > ground.sinks:
-        notes.append(
-            f"changes the motion: start inside the ground, which throws the robot up: {name} by {depth:.3g} m; give "
-            "its root link a start, or the ground a height"
-        )
     return notes
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from liegroup_core.errors import SceneError
 from liegroup_core.fields.values import shown, suggestion
+from liegroup_core.forces.contact import note_of_starts
 from liegroup_core.robots.access import anywhere, permit
 from liegroup_core.robots.read import is_robot_file
 from liegroup_core.robots.resources import resolve
@@ -111,6 +112,7 @@ def _made(text, values, where, robot, source, complete):
         scene = Scene(**values)
         doubts = list(_doubtful_angles(scene, robot is not None)) if complete else []
         scene = assembled(scene) if complete else scene
+        doubts += note_of_starts(scene) if complete else []
         scene = scene.remade(notes=[*scene.notes, *doubts]) if doubts else scene
         scene._text, scene._source, scene._where, scene._robot = text, source, where, robot
         if complete:

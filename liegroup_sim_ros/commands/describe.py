@@ -170,10 +170,22 @@ def sections(facts):
 
 def _force_row(force):
     """Row of a force: its ends, or what a law acts on, its states and signals."""
+    if force["type"] == "contact":
+        return force["name"], "contact", _contact(force)
     if force["type"] != "law":
         return force["name"], force["type"], " - ".join(force["on"])
     parts = [("on", force["on"]), ("signals", force["signals"])]
     return force["name"], "law", "; ".join(f"{title} {', '.join(names)}" for title, names in parts if names)
+
+
+def _contact(force):
+    """Bodies and numbers of a contact."""
+    ends, plane = [f"{kind} of {body}" for body, kind in force["shapes"].items()], force["plane"]
+    ends += [f"plane through {_vector(plane['point'])}, normal {_vector(plane['normal'])}"] if plane else []
+    text = f"{' - '.join(ends)}; stiffness {force['stiffness']:.4g} N/m, damping {force['damping']:.4g} s/m"
+    if "friction" in force:
+        text += f", friction {force['friction']:.4g}, slip {force['slip']:.4g} m, settles {force['settles']:.4g} s"
+    return text
 
 
 def _vector(values):

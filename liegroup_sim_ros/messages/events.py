@@ -42,16 +42,17 @@ def accuracy_returns(value, time, coarser, before, after, share_of_messages):
     )
 
 
-def _advice(share, share_of_messages, helpless=False):
-    """What to do if real time is not kept; helpless: a coarser accuracy does not help."""
+def _advice(share, share_of_messages, helpless=False, cause=""):
+    """What to do if real time is not kept; helpless: a coarser accuracy does not help; cause of the cost of steps."""
     if share < share_of_messages:
         return "the messages take the most: lower publish_rate, or publish and record less"
+    cause = f" ({cause})" if cause else ""
     if helpless:
-        return "the integration takes the most, at any accuracy: lower real_time_factor"
-    return "the integration takes the most: raise accuracy or step, or lower real_time_factor"
+        return f"the integration takes the most, at any accuracy: lower real_time_factor{cause}"
+    return f"the integration takes the most: raise accuracy or step, or lower real_time_factor{cause}"
 
 
-def slow(had, wanted, time, share, share_of_messages, accuracy, helpless=False):
+def slow(had, wanted, time, share, share_of_messages, accuracy, helpless=False, cause=""):
     """Real time is not kept.
 
     had, wanted : real-time factors
@@ -59,8 +60,9 @@ def slow(had, wanted, time, share, share_of_messages, accuracy, helpless=False):
     share       : largest share of a core that the integration takes in real time
     accuracy    : current accuracy; None with a method
     helpless    : a coarser accuracy does not help
+    cause       : of the cost of the integration, and what helps
     """
-    advice = _advice(share, share_of_messages, helpless)
+    advice = _advice(share, share_of_messages, helpless, cause)
     if share + share_of_messages < BUSY:
         advice = "other processes occupy the cores: end them, or lower real_time_factor"
     return (

@@ -14,9 +14,8 @@ import dataclasses
 import math
 
 import numpy as np
-from scipy.spatial import ConvexHull
 
-from liegroup_core.forces.contact import drawn_by_contacts, outline
+from liegroup_core.forces.contact import drawn_by_contacts, faces, outline
 from liegroup_core.robots.description import Visual, place
 from liegroup_core.robots.resources import find_resource
 from liegroup_core.scene.centres import PLACES
@@ -186,17 +185,9 @@ def drawn(scene):
             visuals = [_visual(shape) for shape in own if shape.type != "hull"] if own else [solid(body, scene)]
             parts = [part for each in visuals for part in in_primitives(each)]
             found += [(body.name, TYPES[each.kind], edges(each), each.pose, "", BODY_COLOR) for each in parts]
-            found += [(body.name, TRIANGLES, (1.0,) * 3, np.eye(4), _triangles(each), BODY_COLOR) for each in hulls]
+            corners = [each[faces(each)].reshape(-1, 3) for each in hulls]
+            found += [(body.name, TRIANGLES, (1.0,) * 3, np.eye(4), each, BODY_COLOR) for each in corners]
     return found
-
-
-def _triangles(points):
-    """(3 k, 3) corners of the triangles of the convex hull of points, m; each is seen from outside."""
-    hull = ConvexHull(points)
-    corners = points[hull.simplices]
-    turned = np.einsum("ki,ki->k", np.cross(*np.diff(corners, axis=1).swapaxes(0, 1)), hull.equations[:, :3]) < 0.0
-    corners[turned] = corners[turned, ::-1]
-    return corners.reshape(-1, 3)
 
 
 def in_primitives(visual):

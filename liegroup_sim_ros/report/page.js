@@ -335,7 +335,7 @@ function drawView(root, view, planes) {
   const count = motion.times.length, start = motion.times[0], end = motion.times[count - 1];
   const paths = motion.paths(), last = 2 + motion.layers.length;
   const moving = [...Array(last + (motion.most ? 3 : 1)).keys()].map(k => paths.length + k);
-  const scene = motion.axes(), height = narrow() ? 340 : 400;
+  const scene = motion.axes(), height = narrow() ? 360 : 430;
   scene.camera = camera(scene.aspectratio, plot.clientWidth, height - view.layout.margin.t);
   const state = {frame: 0, time: start, playing: false, motion, plot, shown: ""};
 
@@ -368,7 +368,7 @@ function drawView(root, view, planes) {
          k: corners.slice(2).map((_, n) => n + 2), color: "--soft", opacity: .3, hoverinfo: "skip",
          showlegend: false},
         {...curve([...corners, corners[0]], "plane", "--soft", 3), hoverinfo: "skip", showlegend: false}])];
-    paths.forEach((path, i) => { if (i >= (narrow() ? 6 : 9)) path.showlegend = false; });
+    paths.forEach((path, i) => { if (i >= 6) path.showlegend = false; });
     return Plotly.react(plot, themed(data), themed({...view.layout, scene,
       height, uirevision: 1, modebar: MODEBAR,
       showlegend: paths.length > 1 || motion.touches > 0}), {

@@ -22,7 +22,7 @@ MOST_PARTS = 20  # largest number of recordings with plots in a report; further 
 MOST_LISTED = 20  # largest number of problems in the list at the top
 LONGEST = 200_000  # largest number of characters of a text
 NUMBER = re.compile(
-    r"\d[\d.]*(?:e[+-]\d+)?"
+    r"-?\d[\d.]*(?:e[+-]\d+)?"
     r"(?: (?:m|s|ms|us|rad|J|W|N)\b(?:/s)?(?: m\b)?(?: s\b)?)?"
 )
 
@@ -114,7 +114,7 @@ def _one(part, number, exceeded=(), bounds=()):
     """Page of one recording."""
     figures = part["figures"]
     problems = [*exceeded, *figures["problems"]]
-    state = _state(len(problems), len(figures["warnings"]))
+    state = _state(len(problems), len(figures["warnings"]), len(part["differences"]))
     return (
         f"<header><h1>{escape(figures['scene'])}</h1>{state}</header>"
         f'<p class="verdict">{unbroken(figures["verdict"])}</p>'
@@ -305,15 +305,17 @@ def _grade(problems, warnings):
     return "bad" if problems else "warn" if warnings else "good"
 
 
-def _state(problems, warnings):
-    """HTML of the verdict: numbers of problems and of warnings."""
+def _state(problems, warnings, notes=0):
+    """HTML of the verdict: numbers of problems, of warnings and of notes on the model."""
     counts = [counted(count, noun) for count, noun in ((problems, "problem"), (warnings, "warning")) if count]
-    grade, sign = _grade(problems, warnings), "✗" if problems else "!" if warnings else "✓"
-    return f'<span class="state {grade}">{sign} {", ".join(counts) or "no problem found"}</span>'
+    counts = counts or ["no numerical problem found" if notes else "no problem found"]
+    counts += [f"{counted(notes, 'note')} on the model"] if notes else []
+    grade, sign = _grade(problems, warnings or notes), "✗" if problems else "!" if warnings or notes else "✓"
+    return f'<span class="state {grade}">{sign} {", ".join(counts)}</span>'
 
 
 def _differences(notes):
-    return '<p class="soft">Not as in the robot file:</p>' + _list("soft", notes) if notes else ""
+    return '<p class="warn">Notes on the model, which change the motion:</p>' + _list("soft", notes) if notes else ""
 
 
 def _list(grade, texts):

@@ -41,8 +41,8 @@ JOINT_PLOTS = {
 }
 PARTS = tuple(dict.fromkeys(part for part, _ in JOINT_PLOTS))
 CONTACT_REMARKS = {
-    "normal_force": "sum of its points",
-    "depth": "of its deepest point",
+    "normal_force": "sum of its points; peaks between samples do not show",
+    "depth": "of its deepest point, while it presses",
     "work": "on its bodies, since the start",
 }
 PICKS = {
@@ -262,6 +262,7 @@ def _column_plots(times, columns, values, bands, titles=MappingProxyType({}), ch
         kind, frame = quantity.kind, quantity.frame
         if kind == "law" and owner in contacts:
             kind, frame = "contact", CONTACT_REMARKS.get(part, frame)
+            y = np.where(y >= 0.0, y, np.nan) if part == "depth" else y  # not the way to the ground
         elif kind == "law":
             owner, part = part, owner  # one plot for all signals of a law
         if np.isfinite(y).any():

@@ -12,10 +12,9 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
-import scipy
 
 from liegroup_core.errors import SceneError
-from liegroup_core.forces.contact import drawn_by_contacts, outline
+from liegroup_core.forces.contact import ROUND, drawn_by_contacts, faces, outline
 from liegroup_core.robots.access import trees
 from liegroup_core.robots.apart import triangulated
 from liegroup_core.robots.options import BASES, Options
@@ -103,10 +102,13 @@ def with_contacts(shapes, scene):
 def _convex(shape):
     """Shape as of `robot_shapes` of the shape of a contact."""
     points = outline(shape)
+    corners = faces(points)
+    if shape.type not in ROUND:  # corners of their own let the page draw sharp edges
+        points, corners = points[corners].reshape(-1, 3), np.arange(corners.size).reshape(-1, 3)
     low, high = points.min(axis=0), points.max(axis=0)
     return {
         "points": base64.b64encode(points.astype("<f4").tobytes()).decode(),
-        "faces": base64.b64encode(scipy.spatial.ConvexHull(points).simplices.astype("<i4").tobytes()).decode(),
+        "faces": base64.b64encode(corners.astype("<i4").tobytes()).decode(),
         "at": (0.5 * (low + high)).tolist(),
         "size": (high - low).tolist(),
         "color": None,

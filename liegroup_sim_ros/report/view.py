@@ -117,11 +117,7 @@ def make_view(analysis, shapes=None):
         "frames": len(pick),
         "seconds": seconds,
         "digits": max(0, min(6, 3 - math.floor(math.log10(seconds)))) if seconds > 0 else 3,
-        "layout": {
-            "margin": {"l": 0, "r": 0, "t": 32, "b": 0},
-            **BASE,
-            "legend": {"orientation": "h", "x": 0, "y": 1, "yanchor": "top", "bgcolor": "rgba(0,0,0,0)"},
-        },
+        "layout": {"margin": {"l": 0, "r": 0, "t": 32, "b": 0}, **BASE},
     }
 
 

@@ -5,6 +5,7 @@ from collections import deque
 
 from liegroup_core.methods.table import METHODS
 from liegroup_core.pacing import SLOW
+from liegroup_core.reports import cause_of_cost
 from liegroup_sim_ros.messages import events
 
 # Largest share of a core for the integration in real time, and for integration and messages together; wall
@@ -161,4 +162,5 @@ class RealTime:
             *most,
             promise and promise["accuracy"],
             self._helpless or bool(promise) and promise["accuracy"] >= COARSEST,
+            cause_of_cost(self._simulation),
         )

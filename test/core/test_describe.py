@@ -130,20 +130,31 @@ def test_heavy_top():
     assert len(facts["kept_momentum"]) == 1 and facts["methods"] == list(METHODS)
 
 
-def test_a_law_names_what_it_acts_on_and_its_signals():
+def test_laws_and_contacts_name_what_they_act_on_and_their_numbers():
     text = """
 {name: s, gravity: [0, 0, 0], bodies: [{name: b, mass: 1, inertia: [1, 1, 1]}], joints: [{name: j, type: revolute,
 parent: world, child: b, child_frame: {}}], forces: [{name: own, type: law, signals: {f: sin(t), g: 2*f}, outputs: [
 {joint: j, effort: f}, {body: b, force: [g, 0, 0]}, {joint: j, effort: 1}]}, {name: plan, type: law, signals: {h: t},
-states: {x: {rate: h}}}]}
+states: {x: {rate: h}}}, {name: floor, type: contact, body: b, shape: {type: sphere, radius: 1}, stiffness: 8,
+damping: 0.5, friction: 0.2, slip: 0.1, load: 4, plane: {point: [0, 0, -1], normal: [0, 0, 2]}}]}
 """
     facts = describe(make_layout(scene_from_text(text)))
-    assert facts["forces"] == [
+    assert facts["forces"][:2] == [
         {"name": "own", "type": "law", "on": ["j", "b"], "signals": ["f", "g"]},
         {"name": "plan", "type": "law", "on": [], "signals": ["x", "h"]},
     ]
     (rows,) = [rows for title, rows in sections(facts | {"cost": {}}) if title == "Forces"]
-    assert rows == [("own", "law", "on j, b; signals f, g"), ("plan", "law", "signals x, h")]
+    # settles is sqrt(m slip / (friction load)); the hinge is the only coordinate, states of laws are none.
+    contact = (
+        "sphere of b - plane through 0 0 -1, normal 0 0 1; stiffness 8 N/m, damping 0.5 s/m, friction 0.2, slip 0.1 m, "
+        "settles 0.3536 s"
+    )
+    assert rows == [
+        ("own", "law", "on j, b; signals f, g"),
+        ("plan", "law", "signals x, h"),
+        ("floor", "contact", contact),
+    ]
+    assert facts["formulation"]["coordinates"] == 1
 
 
 def test_a_loop_names_its_redundant_constraint_row():

@@ -137,7 +137,7 @@ def test_notes_name_what_was_merged_and_left_out(tmp_path):
     assert "merged into slide: tool, tip" in text
     assert "fixed to the world: base" in text
     assert "held in place: tip at the end of joint tip_joint" in text
-    assert "changes the motion: no contact, 1 collision shape of base" in text
+    assert "without effect 1 collision shape of base" in text
     assert "limits" not in text and "friction" not in text
     assert [(joint.limits.lower, joint.limits.upper) for joint in scene.joints] == [(-1.0, 2.0), (-1.0, 1.0)]
     assert [joint.friction and joint.friction.coulomb for joint in scene.joints] == [0.1, None]

@@ -237,13 +237,13 @@ def test_many_joints_are_drawn_a_few_at_a_time_and_angles_without_jumps(tmp_path
 
 
 def test_contacts_have_a_plot_for_each_unit(tmp_path):
-    """Force, depth and work of a contact do not share an axis."""
-    scene = scene_from_text(filled(SLIDE, gravity=0, joint="", speed=SPEED, **CASES["contact"][1]))
+    """Force, depth and work of a contact do not share an axis. The way to the plane is no depth."""
+    scene = scene_from_text(filled(SLIDE, gravity=0, joint="", speed=-SPEED, **CASES["contact"][1]))
     simulation = Simulation(scene, "rkmk8", 1e-3, estimate=False)
-    with LogFile(tmp_path / "a.mcap", simulation, 10, 0) as file:
+    with LogFile(tmp_path / "a.mcap", simulation, 300, 0) as file:
         for _ in range(5):
             file.sample(simulation.sample())
-            simulation.advance(10)
+            simulation.advance(300)
         file.finish(simulation, None, False, 1.0)
     plots = {
         title: plot for title, _, plot in make_plots(analyse(read_recording(tmp_path / "a.mcap"), reference=False))
@@ -251,4 +251,7 @@ def test_contacts_have_a_plot_for_each_unit(tmp_path):
     shown = {title: plot for title, plot in plots.items() if title.startswith(("Contact", "Law"))}
     units = {title: plot["layout"]["yaxis"]["title"]["text"] for title, plot in shown.items()}
     assert units == {"Contact acts: normal force": "N", "Contact acts: depth": "m", "Contact acts: work": "J"}
-    assert [trace["name"] for trace in shown["Contact acts: depth"]["data"]] == ["acts"]
+    (trace,) = shown["Contact acts: depth"]["data"]
+    depths = [1.1 * math.cos(0.15 * k) - SPEED / 0.5 * math.sin(0.15 * k) for k in range(5)]
+    assert trace["name"] == "acts" and trace["y"] == [pytest.approx(d, rel=1e-4) if d >= 0.0 else None for d in depths]
+    assert trace["y"][-1] is None

@@ -145,13 +145,18 @@ def test_a_pause_or_another_factor_does_not_end_the_judgement():
 @pytest.mark.parametrize(
     "integration, messages, said",
     [
-        (falling(9.0), 0.1, "the integration takes the most: raise accuracy or step"),
-        (flat(0.95), 0.02, "the integration takes the most, at any accuracy: lower real_time_factor"),
+        (
+            falling(9.0),
+            0.1,
+            "the integration takes the most: raise accuracy or step, or lower real_time_factor (bounces)",
+        ),
+        (flat(0.95), 0.02, "the integration takes the most, at any accuracy: lower real_time_factor (bounces)"),
         (flat(0.25), 0.9, "the messages take the most: lower publish_rate"),
         (flat(0.1), 0.1, "other processes occupy the cores"),
     ],
 )
-def test_a_slow_run_says_what_takes_the_time_and_what_to_do(integration, messages, said):
+def test_a_slow_run_says_what_takes_the_time_and_what_to_do(integration, messages, said, monkeypatch):
+    monkeypatch.setattr(real_time, "cause_of_cost", lambda simulation: "bounces")  # as a run warns
     run = Run(integration, flat(messages))
     run.take()
     assert said in run.slow()

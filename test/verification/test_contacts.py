@@ -306,6 +306,52 @@ def test_trim_finds_what_stands_on_a_slope_up_to_the_cone(height):
         assert found.pose[0, 9:] @ normal == pytest.approx(0.05 - 0.25 * sinks * math.cos(angle), abs=1e-8)
 
 
+def table(feet, height, tilt):
+    """A trunk on legs, which servos hold at 0.5 rad outwards, with balls without damping and friction as feet."""
+    turn = Rotation.from_rotvec(tilt)
+
+    def placed(at, lean=0.0):
+        turned = (turn * Rotation.from_rotvec([0.0, -lean, 0.0])).as_rotvec().tolist()
+        return f"position: {(turn.apply(at) + [0, 0, height]).tolist()}, rotation_vector: {turned}"
+
+    bodies, joints, forces = [f"{{name: trunk, mass: 8, inertia: [0.1, 0.2, 0.25], {placed([0, 0, 0])}}}"], [], []
+    for k, (x, y) in enumerate(feet):
+        lean = math.copysign(0.5, x)
+        place = placed([x + 0.2 * math.sin(lean), y, -0.2 * math.cos(lean)], lean)
+        bodies.append(f"{{name: leg{k}, mass: 0.5, inertia: [0.01, 0.01, 0.001], {place}}}")
+        frames = (
+            f"parent_frame: {{position: [{x}, {y}, 0], axis: [0, -1, 0]}}, child_frame: {{position: [0, 0, 0.2], axis: "
+        )
+        joints.append(f"{{name: hip{k}, type: revolute, parent: trunk, child: leg{k}, {frames}[0, -1, 0]}}}}")
+        forces.append(f"{{name: servo{k}, type: servo, joint: hip{k}, position: {lean}, stiffness: 60, damping: 1}}")
+        ball = "shape: {type: sphere, radius: 0.02, position: [0, 0, -0.2]}, sinks: 1e-3, damping: 0"
+        forces.append(f"{{name: foot{k}, type: contact, body: leg{k}, {ball}}}")
+    entries = (", ".join(each) for each in (bodies, joints, forces))
+    return scene_from_text(
+        "{{name: t, gravity: [0, 0, -{}], bodies: [{}], joints: [{}], forces: [{}]}}".format(G, *entries)
+    )
+
+
+@pytest.mark.parametrize("height", [0.2, 0.37, 0.9])
+@pytest.mark.parametrize("tilt", [(0.0, 0.0, 0.0), (0.2, 0.3, 0.0), (-0.4, 0.3, 0.2)])
+def test_trim_stands_a_robot_on_its_legs_from_the_air_and_from_inside_the_ground(tilt, height):
+    """Of each leg k (q - 0.5) = (N l - m g l / 2) sin q, N a quarter of the weight. On two feet it tips over."""
+    feet = [(x, y) for x in (0.3, -0.3) for y in (0.2, -0.2)]
+    found = trim(Simulation(table(feet, height, tilt), quiet=True))
+    weight = 10.0 * G
+
+    def moment(q):
+        return (0.25 * weight * 0.4 - 0.5 * G * 0.2) * math.sin(q) - 60.0 * (q - 0.5)
+
+    # 1e-10 of the first accelerations, 1e-8 rad/s^2 at most, may remain: over (60 N m/rad) / (0.03 kg m^2), 5e-12.
+    q = scipy.optimize.brentq(moment, 0.1, 1.5, xtol=1e-14)
+    assert_allclose(list(found.joints.values()), [q, q, -q, -q], atol=1e-11)
+    assert found.pose[0, 11] == pytest.approx(0.4 * math.cos(q) + 0.02 - 0.25e-3, abs=1e-11)
+    assert found.is_steady
+    with pytest.raises(TrimError, match="left to itself trunk tips over or rolls away"):
+        trim(Simulation(table(feet[:2], height, tilt), quiet=True))
+
+
 REST = math.sqrt(1.0 + math.sqrt(2.0))  # the bristle of a point that slides: 2 b^2 (b^2 - 1) = b^4 + 1
 BLOCK = "{name: block, mass: 2, inertia: [1, 1, 1], position: [0, 0, -1e-4], linear_velocity: [1, 0, 0]}"
 
@@ -492,6 +538,13 @@ def test_wrenches_and_points_are_those_of_newton_and_euler(kind, other, friction
     else:
         pose[0, 9:] += (made.sample(pose, twist).signals["c.depth"] - 0.01) * normal
     sample = made.sample(pose, twist)
+    if not other:  # such a start, 0.01 m deep, is noted if that is above 3 times the weight over 1e4 N/m
+        start = f"position: {pose[0, 9:].tolist()}, rotation_vector: {turn.as_rotvec().tolist()}"
+        bodies = [f"{{name: b, mass: 2, inertia: [1, 1, 1], {start}}}"]
+        deep, not_deep = (scene(bodies, [f"name: c, body: b, {shape}, {touches}"], g) for g in (1.6 * G, 1.8 * G))
+        depth = deep.forces[0].depth_in_plane(deep.bodies[0])
+        assert depth == pytest.approx(sample.signals["c.depth"], abs=1e-14) and not not_deep.notes
+        assert "out b: 0.01 m deep in contact c, 3 times its depth under the load" in deep.notes[0]
     wrench, w, dv = sample.contact_wrenches["c"], twist[0, :3], sample.accelerations["b"]
     assert sample.signals["c.normal_force"] > 0.0
     force = 2.0 * (dv[3:] + np.cross(dv[:3], com) + np.cross(w, np.cross(w, com)) + turn.inv().apply([0, 0, G]))
@@ -675,10 +728,13 @@ def test_capsules_that_meet_broadside_keep_their_energy(other, turn, more):
     assert sample.energy == pytest.approx(0.5, abs=12 * 1e-6)
 
 
-@pytest.mark.parametrize("speed", [1.0, 30.0])
-def test_a_ball_that_dives_into_a_box_is_pushed_out(speed):
-    """Its centre is behind the face for a time: the spring acts on, x = v/w sin w t, and the speed is reversed."""
-    rate = speed / 0.15
+@pytest.mark.parametrize("speed, depth", [(1.0, 0.15), (30.0, 0.15), (1.0, 0.4)])
+def test_a_ball_that_dives_into_a_box_is_pushed_out(speed, depth, caplog):
+    """Its centre is behind the face for a time: the spring acts on, x = v/w sin w t, and the speed is reversed.
+
+    Beyond the radius and half the box, 0.6 m, it would come out on the other side: half of that is told.
+    """
+    rate = speed / depth
     bodies = [
         f"{{name: ball, shape: {{type: sphere, radius: 0.1, mass: 1}}, linear_velocity: [{speed}, 0, 0]}}",
         "{name: box, mass: 1, inertia: [1, 1, 1], position: [0.8, 0, 0]}",
@@ -686,12 +742,13 @@ def test_a_ball_that_dives_into_a_box_is_pushed_out(speed):
     box = "shape: {type: sphere, radius: 0.1}, other_shape: {type: box, size: [1, 1, 1]}"
     hit = f"name: hit, body: ball, other: box, {box}, stiffness: {rate**2}, damping: 0"
     held = "joints:\n  - {name: fix, type: fixed, parent: world, child: box, parent_frame: {}}\n"
-    simulation = Simulation(scene(bodies, [hit], gravity=0.0, more=held), accuracy=1e-8, quiet=True)
+    simulation = Simulation(scene(bodies, [hit], gravity=0.0, more=held), accuracy=1e-8)
     touch, end = 0.2 / speed, 0.2 / speed + math.pi / rate
     simulation.advance_to(0.5 * (touch + end))
-    assert simulation.sample().pose[0, 9] == pytest.approx(0.35, abs=1e-7)
+    assert simulation.sample().pose[0, 9] == pytest.approx(0.2 + depth, abs=1e-7)
     simulation.advance_to(end + 0.1 / speed)
     assert simulation.sample().twist[0, 3] == pytest.approx(-speed, rel=1e-7)
+    assert ("m deep; its bodies pass through each other at 0.6 m" in caplog.text) == (depth > 0.3)
 
 
 @pytest.mark.parametrize("aside", [0.0, 0.04])
@@ -757,7 +814,10 @@ def test_derivatives_of_a_bounce_are_those_of_its_closed_form():
             "stiffness: 1, damping: 1, other_shape: {type: sphere, radius: 1}",
             "^test:6: .*other is missing: name the body that has other_shape",
         ),
-        ("stiffness: 1, damping: 1, shape: {type: hull, points: []}", "must be 1 to 64 points"),
+        (
+            f"stiffness: 1, damping: 1, shape: {{type: hull, points: {[[0, 0, 0]] * 65}}}",
+            "64 points .*got a list of 65$",
+        ),
         (
             "sinks: 1e-300, damping: 1",
             "sinks 1e-300 gives a depth of 1e-300 m at rest; double precision resolves 2.2e-14",
