@@ -571,8 +571,13 @@ def reach(log):
 
 
 def _rough_delays(fit, bounds, delays):
-    """Delays with the smallest residuals on a grid: a common one of all free clocks, then each alone."""
-    runs, free = fit.runs, np.flatnonzero(fit.free)
+    """Delays with the smallest residuals on a grid: a common one of all free clocks, then each alone.
+
+    What has the same stamps throughout was stamped together: it begins with one delay.
+    """
+    runs, all_times = fit.runs, [each.times for each in fit.runs.log.measured]
+    together = np.array([next(k for k, own in enumerate(all_times) if np.array_equal(own, at)) for at in all_times])
+    free = np.flatnonzero(fit.free & fit.free[together])
     if not len(free):
         return delays
     first = np.searchsorted(bounds[:-1, 1], max(each.times[0] for each in runs.log.measured), side="right")
@@ -617,6 +622,6 @@ def _rough_delays(fit, bounds, delays):
         return delays
     delays = best(free)
     if len(free) > 1 and cost(free, 0.0) > NEAR:
-        for t in free:
-            delays = best(np.array([t]))
+        for first in np.unique(together[free]):
+            delays = best(free[together[free] == first])
     return delays

@@ -387,8 +387,7 @@ class Variations:
 
 
 def _settings(simulation):
-    """(settings of the same Simulation without an estimate, and with tight tolerances instead of an accuracy; its steps in
-    one of the Simulation).
+    """(settings without an estimate, and with tight tolerances instead of an accuracy; steps in one of the Simulation).
 
     A state within a step is integrated from its start: steps are no longer than the way between two points of an
     interval in which the stiffest contact acts.

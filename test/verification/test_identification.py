@@ -715,6 +715,16 @@ def test_numbers_of_contacts_are_found(truth, wrong, names, noise):
     assert found.comparison.agrees and found.comparison.solution.reduced < 1.5
 
 
+def test_a_number_without_which_a_mechanism_is_another_one_is_refused():
+    """A contact without friction has no bristles."""
+    truth = {"HEIGHT": 0.1, "SPEED": 1.0, "STIFF": 2e5, "DAMPS": 1.0, "RUBS": 0.0}
+    text = CONTACT
+    for key, value in truth.items():
+        text = text.replace(key, repr(value))
+    with pytest.raises(SceneError, match="friction changes the structure"):
+        identify(scene_from_text(text), pose_log(truth, 0.1), ["friction"], workers=1)
+
+
 @pytest.mark.turn(2)
 def test_friction_of_a_contact_that_is_too_low_is_named():
     """A box slides all the time, so that its motion is linear in friction: as of a force along its way."""
