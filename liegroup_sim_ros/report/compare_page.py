@@ -171,8 +171,9 @@ def _remarks(result):
             half = 0.5 * (delay["interval"][1] - delay["interval"][0])
             rest = "" if result["agrees"] else "; what the model lacks changes it"
             scale, unit = (1.0, "s") if abs(delay["delay"]) >= 1.0 else (1e3, "ms")
-            size = f"{scale * abs(delay['delay']):.7g} {unit} ± {shown(scale * half, unit)}"
-            found.append(f"{topic} is {way} by {size} (95 %){rest}")
+            size, within = f"{scale * abs(delay['delay']):.7g} {unit}", shown(scale * half, unit)
+            is_late = f"is {way} by {size} ± {within}" if abs(delay["delay"]) > half else f"is on time to {within}"
+            found.append(f"{topic} {is_late} (95 %){rest}")
     return found + result["notes"]
 
 
