@@ -62,7 +62,7 @@ LIGHT = 0.03  # of the load: n below. A point that slides and hardly presses yie
 ROUND = ("sphere", "capsule")
 PULLS = -1.0, 0.5, 2.0  # fractions of an axis, see `_touch_each_other`
 LEAST_PART = 1e-9  # of an axis: two points that are one have shares all the same
-SHORT = 1e-3  # of a radius; at least the depth under the load, see `_touch_each_other`
+SHORT = 1e-3  # of a radius; at least the depth under the weight, see `_touch_each_other`
 # Of the thickness of two bodies, or of the distance of a point from the origin of its body: how far they move in a step
 # while they are near. Bodies pass in a distance p along sqrt(p^2 + x^2), and points turn along r cos(x / r), whose
 # polynomials of degree five between -p/8 and p/8 have errors of about 1e-8 p.
@@ -179,6 +179,7 @@ class Contact(Force):
     )
 
     _given: Any = PrivateAttr(None)  # (shapes, load in N, reduced mass in kg) of the scene
+    _weight: float = PrivateAttr(0.0)  # N, that of the reduced mass, at most the load
 
     @model_validator(mode="after")
     def _check(self):
@@ -231,7 +232,7 @@ class Contact(Force):
         if load == 0.0 and self.friction:
             load = self.stiffness * self.slip / self.friction  # as stiff along the surface as across it
         mass = 1.0 / sum(1.0 / bodies[name].mass for name in self.on_bodies({}))
-        self._given = shapes, load, mass
+        self._given, self._weight = (shapes, load, mass), min(load, mass * gravity or load)
         self._check_range(bodies, gravity)
 
     def _check_range(self, bodies, gravity):
@@ -382,7 +383,7 @@ class Contact(Force):
         found = _Formulas(self.name, self.numbers, load)
         if self.other is not None:
             radius = max(getattr(shape, "radius", 0.0) for shape in shapes)
-            short = max(SHORT * radius, load / self.numbers["stiffness"])
+            short = max(SHORT * radius, self._weight / self.numbers["stiffness"])
             return _touch_each_other(found, (self.body, self.other), shapes, short)
         return _touch_plane(found, self.body, shapes[0], rotation_z_to(self.plane.unit), self.plane.height)
 

@@ -770,12 +770,29 @@ def test_a_bar_on_a_box_bears_where_its_weight_is(length, friction, aside):
     assert sample.signals["c.normal_force"] == pytest.approx(weight, rel=1e-9)
     rotation = sample.pose[0, :9].reshape(3, 3)
     # f = (r - d + slope * x)^2 at x along the axis: its derivative by s is 2 r slope * length, of 1e-3 relative by d.
-    load = 4 * G
+    load = G / (1 / 3 + 1 / 1)  # of the reduced mass
     slope = 0.8 * load / stiffness / length * aside / length
     assert rotation[2, 0] == pytest.approx(-slope, abs=1e-2 * abs(slope) + 1e-12)
     depth = weight / stiffness
     assert sample.signals["c.depth"] == pytest.approx(depth, rel=2e-3)
     assert np.abs(sample.twist[0]).max() < 1e-6
+
+
+@pytest.mark.parametrize("heavy", [1.0, 1000.0])
+def test_the_tip_of_a_capsule_presses_on_whatever_is_heavy(heavy):
+    """Its depth lacks b / (8 r), see `_touch_each_other`: a tenth of the depth under the weight of the reduced mass."""
+    radius, depth, stiffness = 0.05, 1e-3, 1e5
+    tip, table = f"capsule, radius: {radius}, length: 0.4, mass: 1", f"box, size: [1, 0.6, 0.2], mass: {heavy}"
+    bodies = [
+        f"{{name: tip, shape: {{type: {tip}}}, position: [0, 0, {0.35 - depth}]}}",
+        f"{{name: table, shape: {{type: {table}}}}}",
+    ]
+    made = scene(bodies, [f"name: c, body: tip, other: table, stiffness: {stiffness}, damping: 0"])
+    force = Simulation(made, accuracy=1e-6, quiet=True).sample().signals["c.normal_force"]
+    short = max(SHORT * radius, G / (1.0 + 1.0 / heavy) / stiffness)
+    least = math.hypot(radius - depth, math.sqrt(0.8 * short * radius / 4.0))
+    assert force == pytest.approx(stiffness * (radius - least) * (radius - depth) / least, rel=1e-9)
+    assert force > 0.98 * stiffness * depth
 
 
 def test_a_standing_ball_is_a_spring_and_its_motion_is_linear():
