@@ -85,9 +85,12 @@ class Runs:
         self._segments = self._starts = None, None
         self._turns = self.machine(self.numbers.values).turns
         self._in_space = not all(self._is_alike(k) for k in range(len(self.numbers)))
-        other = [path for k, path in enumerate(self.numbers.paths) if self._in_space and not self._is_alike(k)]
-        if other:
-            raise SceneError(f"{other[0]} changes the structure of the mechanism: it cannot be identified")
+        for k in range(len(self.numbers)):
+            if self._in_space and not self._is_alike(k):
+                raise self._refusal(k)
+
+    def _refusal(self, k):
+        return SceneError(f"{self.numbers.paths[k]} changes the structure of the mechanism: it cannot be identified")
 
     def _is_alike(self, k):
         """Whether the scene with number k changed has the same structure as it is."""
@@ -187,6 +190,8 @@ class Runs:
     def beside_number(self, point, k):
         """As `base`, with number k changed by CHANGE times its scale."""
         machine, (way, other) = self.machine(point.values), self._beside(point.values, k)
+        if not other.probe.has_structure_of(machine.probe):
+            raise self._refusal(k)
         states = [other.follow(machine, state) for state in point.states]
         return way, self.along(other, self.segments(point), states, point.halves)
 

@@ -97,7 +97,7 @@ class Variations:
         run.drain_instants()  # kept from now on
         run.reach(run.instant_of(end_ns))
         with contextlib.suppress(SimulationError):  # after the end
-            run.advance()
+            run.advance(parts)
         # At the start neighbouring states may move where this one is at rest.
         begin = start.parts["steps"] // parts
         found.append([begin, begin + 1])

@@ -732,7 +732,7 @@ def test_capsules_that_meet_broadside_keep_their_energy(other, turn, more):
 def test_a_ball_that_dives_into_a_box_is_pushed_out(speed, depth, caplog):
     """Its centre is behind the face for a time: the spring acts on, x = v/w sin w t, and the speed is reversed.
 
-    Beyond the radius and half the box, 0.6 m, it would come out on the other side: half of that is told.
+    Beyond the radius and half the box, 0.6 m, it would come out on the other side: at half of that there is a warning.
     """
     rate = speed / depth
     bodies = [

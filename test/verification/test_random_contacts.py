@@ -97,8 +97,8 @@ def test_an_accuracy_is_kept_through_random_contacts_or_the_run_says_so(seed):
     assert uncertain <= 1e-6
 
 
-@pytest.mark.parametrize("seed, end", [(9044, 0.2), (121, 0.4)])
-def test_a_short_slip_of_a_contact_is_not_overlooked(seed, end):
+@pytest.mark.parametrize("seed, end, accuracies", [(9044, 0.2, (1e-5, 1e-7, 1e-9)), (121, 0.4, (1e-7, 1e-9))])
+def test_a_short_slip_of_a_contact_is_not_overlooked(seed, end, accuracies):
     """46 us in the first fifth of a substep, soon after it sticks; and 1.3 us soon after it touches.
 
     Overlooked, by the run or by the reference, they change poses by 4e-9 and 3e-8.
@@ -106,11 +106,11 @@ def test_a_short_slip_of_a_contact_is_not_overlooked(seed, end):
     scene, times, pushes = thrown(seed), [0.0, end], random_pushes(seed, np.random.default_rng((seed, 1)))
     exact, known = reference(scene, times, pushes)
     assert max(known.position.max() / SIZE, known.angle.max()) < 1e-12
-    for accuracy in (1e-5, 1e-7, 1e-9):
+    for accuracy in accuracies:
         simulation = Simulation(scene, accuracy=accuracy, horizon=1.0, quiet=True)
         for push in pushes:
             simulation.apply_wrench("b0", push.wrench, push.start, 0.125, axes="world")
         simulation.advance_to(end)
         pose = simulation.sample().pose_matrices
         off = np.abs(pose[:, :3, 3] - exact.position[1]).max() / SIZE, np.abs(pose[:, :3, :3] - exact.rotation[1]).max()
-        assert max(off) < min(accuracy, 1e-9) or max(off) < 2.0 * simulation.largest_error
+        assert max(off) < min(accuracy, 1e-9)
