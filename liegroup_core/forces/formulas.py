@@ -187,6 +187,10 @@ class Program:
         """Register of a condition: a itself, or whether it is not zero."""
         return a if a in self.conditions else self.do(NOT, self.do(EQUAL, a, self.number(0.0)))
 
+    def read_from(self, first):
+        """{register} that instructions from a number on read."""
+        return {each for operation, _, a, b, c in self.code[first:] for each in (a, c, a if operation == TABLE else b)}
+
     def branched(self, results):
         """{number of an instruction} with branches, on which a set of registers depends."""
         needed, found = {*results}, set()
@@ -219,17 +223,6 @@ def tree(text):
         reason = error.msg if isinstance(error, SyntaxError) else "too deep or not a text"
         hint = f"; {QUOTE}" if "never closed" in reason else ""
         raise FormulaError(f"{text!r:.60} is no formula: {reason}{hint}") from None
-
-
-def names_in(text):
-    """{name} of all names in a formula but functions and constants. Raises FormulaError."""
-    calls, found = set(), set()
-    for node in ast.walk(tree(text)):
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
-            calls.add(node.func)
-        elif isinstance(node, ast.Name):
-            found.add(node)
-    return {node.id for node in found - calls} - CONSTANTS.keys()
 
 
 class _Walk:

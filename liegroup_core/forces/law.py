@@ -75,9 +75,9 @@ from .formulas import (
     differentiate,
     distances,
     evaluate,
-    names_in,
     present_branch,
     table_arrays,
+    tree,
 )
 from .instants import exact_seconds
 from .readings import INPUT, POINTS, RATE, input_row, names_of, number_of, read_all, read_changes, reading, varies
@@ -151,7 +151,7 @@ def _formula(value):
     if isinstance(value, bool) or not isinstance(value, (str, int, float, np.integer, np.floating)):
         raise ValueError('must be a formula, such as "k*(1 - q)", or a number')
     try:
-        names_in(value)
+        tree(value)
     except FormulaError as error:
         raise SceneError(f"{error}") from None
     return value if isinstance(value, str) else repr(float(value))
@@ -339,10 +339,10 @@ class Law(Force):
         for name, each in self.inputs.items():
             inputs[name] = others[each.quantity] if each.quantity in others else program.new()
         states = {name: program.new(each.start) for name, each in self.states.items()}
-        names = {TIME: LAW_TIME} | inputs | states
-        names |= {name: program.constant(value) for name, value in self.parameters.items()}
+        parameters = {name: program.constant(value) for name, value in self.parameters.items()}
+        names = {TIME: LAW_TIME} | inputs | states | parameters
         tables = {name: program.table(each.x, each.y) for name, each in self.tables.items()}
-        signals, key = {}, "rate" if self.period is None else "update"
+        signals, key, begin = {}, "rate" if self.period is None else "update", len(program.code)
         with nullcontext() if self.period is None else program.apart() as code:
             for name, text in self.signals.items():
                 first, program.follows = len(program.code), name in self._follows
@@ -359,26 +359,19 @@ class Law(Force):
                 for name, each in self.states.items()
             ]
         if self.period is None:
-            return _Compiled(inputs, states, rates, signals, outputs)
+            is_timed = LAW_TIME in program.read_from(begin) | {*rates, *signals.values(), *chain(*outputs)}
+            return _Compiled(inputs, states, parameters, rates, signals, outputs, is_timed)
         found = [*rates, *signals.values(), *chain(*outputs)]
         signals = {name: program.new() for name in signals}
         outputs = [[program.new() for _ in each] for each in outputs]
         held = [*states.values(), *signals.values(), *chain(*outputs)]
-        return _Compiled(inputs, states, (), signals, outputs, Held(found, held, code, self._names_held()))
+        sampled = Held(found, held, code, self._names_held())
+        return _Compiled(inputs, states, parameters, (), signals, outputs, False, sampled)
 
     def _names_held(self):
         """Names of the numbers that the law holds: states, signals, outputs."""
         outputs = [f"outputs[{k}].{key}" for k, each in enumerate(self.outputs) for key in numbered(each.formulas)]
         return [*self.states, *self.signals, *outputs]
-
-    @property
-    def uses_time(self):
-        """Whether a formula that is evaluated at any time has the time."""
-        if self.period is not None:
-            return False
-        texts = [*self.signals.values(), *(each.rate for each in self.states.values())]
-        texts += [text for each in self.outputs for _, text in each.formulas]
-        return any(TIME in names_in(text) for text in texts)
 
     @property
     def can_slide(self):
@@ -419,13 +412,15 @@ class Held(NamedTuple):
 
 
 class _Compiled(NamedTuple):
-    """Registers of a law: by names of inputs, states and signals, of the rates of the states, of each output."""
+    """Registers of a law: by names of inputs, states, parameters, signals; of the rates of states, of each output."""
 
     inputs: dict
     states: dict
+    parameters: dict
     rates: list
     signals: dict
     outputs: list
+    is_timed: bool  # whether formulas that are evaluated at any time have the time
     sampled: Held | None = None
 
     @property
@@ -513,7 +508,9 @@ def registers_of(described):
 class _Program(NamedTuple):
     """Formulas of all laws of a scene.
 
+    formulas : the Program
     code, shown, kinks : see Laws
+    moments : numbers of its instructions that compare with what may be the time
     times   : [s] that are compared with the time, in order
     branches : first of the registers with the branches of kinks
     always  : registers of the results that are computed at any time, see skipping.py;  zero : register of the number 0
@@ -527,8 +524,8 @@ class _Program(NamedTuple):
     laws: list
     compiled: list  # [_Compiled] of each
     signals: dict  # {LAW.SIGNAL: register}
+    formulas: Program
     registers: list
-    tables: list
     code: np.ndarray
     shown: np.ndarray
     kinks: np.ndarray
@@ -537,6 +534,7 @@ class _Program(NamedTuple):
     compared: list
     yields: list
     surfaces: list
+    moments: list
     times: list
     always: set
     under: dict
@@ -549,12 +547,22 @@ class _Program(NamedTuple):
 _LAST = deque(maxlen=4)  # _Programs: one scene asks for its own many times
 
 
+def _differ_in_numbers(one, other):
+    """Whether two laws are equal but for the values of their parameters."""
+    one, other = (
+        (law.parameters.keys(), {**dict(law), "parameters": None}, law._jumps, law._follows, law._bends)
+        for law in (one, other)
+    )
+    return one == other
+
+
 def _compile_all(described):
     laws = laws_of(described)
-    for same in (operator.is_, operator.eq):  # an analysis makes several simulations of one scene
+    # An analysis makes several simulations of one scene, and varies its numbers.
+    for same in (operator.is_, operator.eq, _differ_in_numbers):
         for each in _LAST:
             if len(each.laws) == len(laws) and all(map(same, each.laws, laws)):
-                return each
+                return each if same is not _differ_in_numbers else _with_numbers(each, laws)
     program, signals, found, owners, needed = Program(), {}, [], [], []
     program.new(), program.new(), program.new(), program.new()  # WITNESS, CAUSE, LAW_TIME, FOREIGN
     for law in laws:
@@ -587,13 +595,14 @@ def _compile_all(described):
     for each in codes:
         branched = np.isin(each[:, 0], BRANCHED)
         each[branched, 4] = renumbered[each[branched, 4]]
+    moments = [kinks[k][0] for k in compared]
     _LAST.append(
         _Program(
             laws,
             found,
             signals,
+            program,
             program.registers,
-            program.tables,
             *codes,
             np.array([row for _, *row in kinks], dtype=np.int64).reshape(-1, 2),
             branches,
@@ -601,7 +610,8 @@ def _compile_all(described):
             compared,
             [k for k, (i, *_) in enumerate(kinks) if i in program.bent],
             [k for k in compared if owners[kinks[k][0]] in sliding],
-            _times(program, (kinks[k][0] for k in compared)),
+            moments,
+            _times(program, program.registers, moments),
             {row[1] for row, i, flag in rows if i >= 0 and flag < 0},
             {row[1]: flag for row, i, flag in rows if i >= 0},
             program.constants,
@@ -613,9 +623,20 @@ def _compile_all(described):
     return _LAST[-1]
 
 
-def _times(program, comparisons):
+def _with_numbers(program, laws):
+    """_Program of laws that differ from its own in the values of parameters only."""
+    registers = [*program.registers]
+    for law, compiled in zip(laws, program.compiled):
+        for name, value in law.parameters.items():
+            registers[compiled.parameters[name]] = value
+    times = _times(program.formulas, registers, program.moments)
+    _LAST.append(program._replace(laws=laws, registers=registers, times=times))
+    return _LAST[-1]
+
+
+def _times(program, registers, comparisons):
     """Times in s of comparisons of t, or a sum with it, with a number, in order; comparisons : places in the code."""
-    numbers, ahead = {k: program.registers[k] for k in program.constants}, {LAW_TIME: 0.0}  # ahead of t
+    numbers, ahead = {k: registers[k] for k in program.constants}, {LAW_TIME: 0.0}  # ahead of t
     operations = {ADD: np.add, SUBTRACT: np.subtract, MULTIPLY: np.multiply, DIVIDE: np.divide}
     for operation, to, a, b, _ in program.code:
         if operation in operations and b in numbers:
@@ -650,6 +671,12 @@ def target_registers(described):
                 places = dict(zip((key for key, _ in each.formulas), own))
                 found[each.servo] = [places.get(key, -1) for key in ("position", "velocity")]
     return found
+
+
+def law_with_time(described):
+    """Name of a law that evaluates a formula with the time at any time, or ""."""
+    program = _compile_all(described)
+    return next((law.name for law, compiled in zip(program.laws, program.compiled) if compiled.is_timed), "")
 
 
 def leaders(described):
@@ -813,7 +840,7 @@ def make_laws(described, index, ends, angles, slides, first, sensors=()):
     ]
     deepest = max((len(path) for *_, path in states), default=0)
     states = [(*own, *path, *[-1] * (deepest - len(path))) for *own, path in states]
-    begins, points = table_arrays(program.tables)
+    begins, points = table_arrays(program.formulas.tables)
     registers = np.zeros((len(all_registers), 2))
     registers[:, 0] = all_registers
     inputs, sampled_inputs = (np.array(rows, dtype=INPUT) for rows in reads.values())
@@ -843,7 +870,7 @@ def make_laws(described, index, ends, angles, slides, first, sensors=()):
         scales=np.array([each.scale for _, each in states_of(described)]),
         registers=registers,
         late=np.zeros(1),
-        timed=any(law.uses_time for law in laws_of(described)),
+        timed=law_with_time(described) != "",
     )
 
 

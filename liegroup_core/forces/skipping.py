@@ -63,7 +63,9 @@ def _paths(code, needed, zero):
         chains[to] = (*(chains.get(a, (a,)) if is_guarded(i) else ()), to)
 
     def read(register, path):
-        before = bases.get(register, path)
+        before = bases.setdefault(register, path)
+        if before == path:
+            return
         same = next((k for k, pair in enumerate(zip(before, path)) if pair[0] != pair[1]), None)
         bases[register] = before[: min(len(before), len(path)) if same is None else same]
 

@@ -18,6 +18,7 @@ SIDED = np.array([[0.5, 0.0, 0.0], [1.0, -0.25, 0.0], [1.5, -0.75, 1.0 / 6.0]])
 SMALLER = 8.0  # factor between two sizes
 MOST_SIZES = 8
 ENOUGH = 1e-12  # relative error at which no smaller h is tried
+RESOLVED = 1e-3  # and from which on that of order six falls with h, or is that of round-off
 KINK = 0.01  # second difference at a kink, relative to the first; h f'' / (2 f') is below 1e-3
 RUN_NOISE = 1e-11  # of values of a run to 1e-13, relative
 ROUND_OFF = 4.0 * np.finfo(float).eps  # of a value; the weights add up to less than 2
@@ -76,6 +77,8 @@ def derivative(function, h, base=None, weights=WEIGHTS):
         found, error, is_small = of_values(values, h, weights)
         if best is None or _largest(error) < _largest(best[1]):
             best = found, error
+        elif _largest(best[1]) <= RESOLVED * _largest(np.abs(best[0])):
+            break
         if is_small:
             break
         h /= SMALLER

@@ -33,7 +33,7 @@ from liegroup_core.dynamics.trees import move_links
 from liegroup_core.engine import METHOD, Engine
 from liegroup_core.errors import SceneError, SimulationError
 from liegroup_core.forces.formulas import OPEN, UNKNOWN
-from liegroup_core.forces.law import branch_of, laws_of, places_of_branches
+from liegroup_core.forces.law import branch_of, laws_of, places_of_branches, state_matters
 from liegroup_core.joints.stops import SLIDE, TURN
 from liegroup_core.methods.munthe_kaas import steps
 from liegroup_core.methods.munthe_kaas.explicit import make_scheme
@@ -277,6 +277,20 @@ class Probe:
         self._take_inputs(self._engine._grid.instant(float(time)))
 
     @property
+    def state_freedoms(self):
+        """(s,) freedoms whose rates are the states of laws."""
+        return self._model.links["freedom"][self._model.law_links]
+
+    @property
+    def acts(self):
+        """(f,) whether anything depends on a freedom: not on a state whose readers the laws skip."""
+        self.slopes()
+        laws, registers = self._model.space.forces.laws, self._work.registers
+        found = np.ones(self.freedoms, dtype=bool)
+        found[self.state_freedoms] = [state_matters(laws, registers, s) for s in range(len(laws.states))]
+        return found
+
+    @property
     def held(self):
         """(f,) whether stops or friction hold a degree of freedom."""
         return self._work.held[: self.freedoms] != 0.0
@@ -378,7 +392,7 @@ class Probe:
     def with_states(self, angles, rates):
         """Unwrapped angles (k,) followed by the states of laws among the rates (f,) of a neighbour."""
         found = angles.copy()
-        self._set_states(found, rates[self._model.links["freedom"][self._model.law_links]])
+        self._set_states(found, rates[self.state_freedoms])
         return found
 
     def beside(self, y):

@@ -149,13 +149,14 @@ class Variations:
             times = sorted({*(time for time in waiting if time < began + h), began + h})
             error = np.inf
             try:
-                samples, u, matrices, doubts, kept = self._look(began, h, times, coordinates)
-                found = _Collocation(u, matrices, 1e-9 * h, start)
+                samples, u, live, matrices, doubts, kept = self._look(began, h, times, coordinates)
+                begin = start[live]
+                found = _Collocation(u, matrices, 1e-9 * h, begin)
                 # What errors of the derivatives allow is not resolved.
-                noise = found.filter @ (doubts @ np.maximum(np.abs(start), np.abs(found.at(1.0))))
+                noise = found.filter @ (doubts @ np.maximum(np.abs(begin), np.abs(found.at(1.0))))
                 size, allowed = (np.abs(x).max(axis=0, initial=TINY) for x in (found.at(1.0)[: len(noise)], noise))
                 # Errors that were carried here need two digits, of their largest size: some decay fast.
-                apart = [np.subtract(*np.hsplit(x, 2)) for x in (start, found.at(1.0))]
+                apart = [np.subtract(*np.hsplit(x, 2)) for x in (begin, found.at(1.0))]
                 allowed[count:] += ROUGHLY * np.abs(np.vstack(apart)).max(axis=0, initial=0.0)
                 error = (found.error.max(axis=0, initial=0.0) / (size + allowed / LOCAL)).max(initial=0.0)
             except SimulationError:
@@ -166,31 +167,46 @@ class Variations:
                 break
             self._run.restore(state)
         for time in times:
-            x = found.at((time - began) / h)
+            x, end = start.copy(), found.at((time - began) / h)
             if time == began + h:
                 # A jump of A may lie anywhere in a shortest interval.
                 rest = found.error if error <= LOCAL else found.range
-                x[: len(noise), count:] += (rest + noise)[:, :count]
+                end[: len(noise), count:] += (rest + noise)[:, :count]
+            x[live] = end
             yield samples[time], *(self._columns(*kept[time], part) for part in (x[:, :count], x[:, count:]))
 
     def _look(self, began, h, times, coordinates):
         """What an interval of h ns needs.
 
-        returns {time: Sample}; points u (s,), [A F] there, errors (n, n + q); {time: (Coordinates, changes, offsets)}
+        Most states of contacts have zero rows and columns in A while nothing touches: they stay as they are.
+
+        returns {time: Sample}; points u (s,); numbers of the r coordinates that change, then of the q numbers; [A F]
+        of these at the points, errors (r, r + q); {time: (Coordinates, changes, offsets)}
         """
         # The last one is before the end, where inputs may change.
         nodes = [began + min(round(part * h), h - 1) for part in (NODES if h >= SHORTEST else [0.5])]
         samples = self._samples(sorted({*nodes, *times}))
         matrices, kept = [], {}
+        acts = np.zeros(self.probe.freedoms, dtype=bool)
+        for sample in samples.values():
+            self.probe.take(sample)
+            acts |= self.probe.acts
         for time, sample in samples.items():
             self.probe.take(sample)
             here = Coordinates(self.probe, coordinates.rate_names, coordinates.names, displaced=True)
             by_numbers = self._by_numbers(here)
             if time in nodes:
-                matrices.append(self._matrix(here, *by_numbers))
+                matrices.append(self._matrix(here, *by_numbers, acts[here.moving]))
             kept[time] = here, here.changes, by_numbers[0]
         matrices, doubts = np.array(matrices).swapaxes(0, 1)
-        return samples, (np.array(nodes) - began) / h, matrices, doubts.max(axis=0), kept
+        columns = np.ones(matrices.shape[1] + self._count, dtype=bool)
+        columns[len(here.independent) : len(columns) - self._count] = acts[here.moving]
+        live = columns.copy()
+        live[: matrices.shape[1]] |= matrices.any(axis=(0, 2))
+        live, columns = np.flatnonzero(live), np.flatnonzero(columns)
+        whole = np.zeros((2, len(nodes), len(live) - self._count, len(live)))
+        whole[..., np.searchsorted(live, columns)] = np.stack((matrices, doubts))[:, :, live[: whole.shape[2]]]
+        return samples, (np.array(nodes) - began) / h, live, whole[0], whole[1].max(axis=0), kept
 
     def _samples(self, times):
         """{time in ns: Sample} of the run, which goes to the last one."""
@@ -209,14 +225,15 @@ class Variations:
         gaps, slips = np.split(found[:, f:], 2, axis=1)
         return coordinates.closing(gaps, slips), found[:, :f], error[:, :f]
 
-    def _matrix(self, coordinates, offsets, accelerations, error):
-        """[A F] (n, n + q) at the state of the probe, and their errors."""
+    def _matrix(self, coordinates, offsets, accelerations, error, acts=None):
+        """[A F] (n, n + q) at the state of the probe, and their errors; acts : which rates have columns, None: all."""
         probe, f = self.probe, self.probe.freedoms
-        m, r, q = len(coordinates.independent), len(coordinates.moving), self._count
+        rates = coordinates.rates if acts is None else coordinates.rates[:, acts]
+        m, r, q = len(coordinates.independent), rates.shape[1], self._count
         n = m + r
         directions = np.zeros((n + q, f, 2))
         directions[:m, :, 0], directions[:m, :, 1] = coordinates.motions.T, coordinates.changes.T
-        directions[m:n, :, 1], directions[n:] = coordinates.rates.T, offsets
+        directions[m:n, :, 1], directions[n:] = rates.T, offsets
         slopes, doubts = np.zeros((2, n + q, 2 * f))
         slopes[n:, f:], doubts[n:, f:] = accelerations, error
         moving = directions.any(axis=(1, 2))
@@ -347,8 +364,10 @@ class Variations:
         """(c + q, p) changes of OutputChannels of the probe, and their errors."""
         found, doubt = (outputs.along(columns) for columns in (self.columns, self.doubt))
         if found is None:
-            frame = self._frame(self.probe, outputs)
-            found, doubt = (self._flat(columns) @ frame for columns in (self.columns, self.doubt))
+            flat = [self._flat(columns) for columns in (self.columns, self.doubt)]
+            used = np.any(flat, axis=(0, 1))
+            frame = self._frame(self.probe, outputs, used)
+            found, doubt = (columns[:, used] @ frame for columns in flat)
             if self._count:
                 own, error = self._sides.of_outputs(self.probe, outputs)
                 found[self._first :] += own
@@ -359,28 +378,34 @@ class Variations:
         """(c, 2 f) columns (c, f, 2) in the units of the freedoms."""
         return (columns / self._scales[:, None]).swapaxes(1, 2).reshape(len(columns), 2 * len(self._scales))
 
-    def _frame(self, probe, outputs):
-        """(2 f, p) derivatives of p OutputChannels by the f freedoms, and by their f rates."""
+    def _frame(self, probe, outputs, used):
+        """(k, p) derivatives of p OutputChannels by those of f freedoms and their f rates that are used (2 f,)."""
         f, base = probe.freedoms, outputs.of(probe.neighbour())
-        ways = np.eye(2 * f).reshape(2 * f, 2, f).swapaxes(1, 2) * self._scales[:, None]
+        ways = np.eye(2 * f)[used].reshape(-1, 2, f).swapaxes(1, 2) * self._scales[:, None]
         parts = [
             derivative(lambda s, w=w: outputs.apart(outputs.of(probe.neighbour(s * w)), base), ANGLE) for w in ways
         ]
-        return np.reshape([part for part, _ in parts], (2 * f, len(outputs)))
+        return np.reshape([part for part, _ in parts], (len(ways), len(outputs)))
 
     def _from_bodies(self, probe, outputs, shown, error):
         """Columns (c, f, 2) whose changes of all StateChannels are (c, p), and those with the errors of these.
 
         Those of numbers are the last.
         """
-        frame, own = self._frame(probe, outputs), np.zeros_like(shown)
+        states, own = probe.state_freedoms, np.zeros_like(shown)
+        used = np.ones((2, probe.freedoms), dtype=bool)
+        used[:, states] = False
+        used, seen = used.ravel(), len(outputs) - len(states)
+        frame = self._frame(probe, outputs, used)[:, :seen]
         if self._count:
             own[len(own) - self._count :] = self._sides.of_outputs(probe, outputs)[0]
 
         def columns(values):
             known = np.isfinite(values).all(axis=1)
             x = np.full((2 * probe.freedoms, len(values)), np.nan)
-            x[:, known] = np.linalg.lstsq(frame.T, values[known].T, rcond=FEW)[0]
+            x[:, known] = 0.0
+            x[np.ix_(used, known)] = np.linalg.lstsq(frame.T, values[known, :seen].T, rcond=FEW)[0]
+            x[np.ix_(probe.freedoms + states, known)] = values[known, seen:].T / self._scales[states, None]
             return x.T.reshape(len(values), 2, probe.freedoms).swapaxes(1, 2) * self._scales[:, None]
 
         return columns(shown - own), columns(shown + error - own)

@@ -9,7 +9,7 @@ from R and w: r = pivot + R d, v = w x d. The joint is satisfied to machine prec
 import numpy as np
 
 from liegroup_core.compiling import kernel
-from liegroup_core.forces.law import laws_of
+from liegroup_core.forces.law import law_with_time, laws_of
 from liegroup_core.joints.elements import PAIR, WORLD
 from liegroup_core.lie.vec3 import (
     ZERO3,
@@ -91,9 +91,9 @@ def misfit(layout):
         if element["child"] in held:
             return f"it allows one spherical joint per body, but {joint.child} has more"
         held.add(element["child"])
+    if timed := law_with_time(layout.scene.forces):
+        return f"its stages have no times, but the law {timed} depends on t"
     for law in laws_of(layout.scene.forces):
-        if law.uses_time:
-            return f"its stages have no times, but the law {law.name} depends on t"
         if law.states and law.period is None:
             return f"it integrates bodies only, but the law of {law.name} has states"
     return ""
