@@ -82,7 +82,7 @@ class Coordinates:
 
     def _with_all_states(self, numbers, count):
         """Numbers of freedoms, and of states of laws that are not among them, up to a count."""
-        others = [k for k in np.flatnonzero(self.is_state) if k not in numbers]
+        others = np.setdiff1d(np.flatnonzero(self.is_state), numbers)
         return np.array([*numbers, *others[: max(count - len(numbers), 0)]], dtype=int)
 
     def _place_states(self):
@@ -212,12 +212,15 @@ class Coordinates:
         found[picked] = np.eye(count)
         return picked, found
 
+    @cached_property
+    def _numbers(self):
+        return {freedom.name: k for k, freedom in enumerate(self.freedoms)}
+
     def number(self, name):
         """Index of the freedom with a name. Raises SceneError."""
-        names = [freedom.name for freedom in self.freedoms]
-        if name not in names:
-            raise SceneError(f"unknown coordinate {name!r}; {suggestion(name, names)}")
-        return names.index(name)
+        if name not in self._numbers:
+            raise SceneError(f"unknown coordinate {name!r}; {suggestion(name, [*self._numbers])}")
+        return self._numbers[name]
 
     @cached_property
     def changes(self):

@@ -382,7 +382,7 @@ def plane(traces, bands, unit, log=False, across="time / s"):
     return {
         "data": traces,
         "layout": {
-            "xaxis": {**axis, "title": {"text": across, "standoff": 6}},
+            "xaxis": {**axis, "title": {"text": across, "standoff": 6}, **_ends_of_points(traces)},
             "yaxis": {
                 **axis,
                 "title": {"text": unit, "standoff": 8},
@@ -399,6 +399,12 @@ def plane(traces, bands, unit, log=False, across="time / s"):
             **BASE,
         },
     }
+
+
+def _ends_of_points(traces):
+    """Range of the axis of time, if plotly.js would extend it for points."""
+    times = [x for trace in traces for x in trace["x"] if x is not None]
+    return {"range": [min(times), max(times)]} if any("markers" in trace["mode"] for trace in traces) else {}
 
 
 def _logarithms(traces):
