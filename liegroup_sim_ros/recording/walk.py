@@ -167,7 +167,8 @@ class Walk:
         self._schemas, self.channels, self._defined, self._extras = {}, {}, 0, 0
         self.header, self.problems, self.finished, self.statistics = Header("", ""), {}, False, None
         self.offset = 0
-        self._loose, self._before = bytearray(), np.empty(0, dtype=np.int64)  # offsets in the chunk before
+        self._loose, self._first_loose = bytearray(), 0  # messages outside of chunks, offset of the first one
+        self._before = np.empty(0, dtype=np.int64)  # offsets in the chunk before
         self._budget = LARGEST + LARGEST_RATIO * size
 
     def __iter__(self):
@@ -181,6 +182,11 @@ class Walk:
             self.offset = at
             opcode, length, damage = _record_at(file, at, size)
             start, end = at + RECORD.size, at + RECORD.size + length
+            # In a file that is being written a chunk takes the place of its messages.
+            if damage and self._loose and _record_at(file, self._first_loose, size)[0] != Opcode.MESSAGE:
+                self._loose.clear()
+                at = self._first_loose
+                continue
             if opcode != Opcode.MESSAGE or damage:
                 yield from self._loose_messages()
             if damage:
@@ -234,6 +240,7 @@ class Walk:
         if opcode == Opcode.MESSAGE:
             if length < MESSAGE.size:
                 raise Damaged("a damaged message")
+            self._first_loose = self._first_loose if self._loose else start - RECORD.size
             self._loose += RECORD.pack(opcode, length) + body
             if len(self._loose) > PIECE:
                 yield from self._loose_messages()

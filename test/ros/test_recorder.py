@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The recorder under load, in killed processes and on a full disk: data loss and messages."""
 
+import io
 import json
 import os
 import random
@@ -49,27 +50,51 @@ def test_a_killed_process_has_written_what_is_older_than_the_flush_interval(tmp_
     assert recording.lost == {} and recording.pose["top"].stamp_ns.tolist() == list(range(100))
 
 
+class Changing(io.BytesIO):
+    """A file that has other bytes after so many reads."""
+
+    def __init__(self, before, after, reads):
+        super().__init__(before)
+        self._after, self._reads = after, reads
+
+    def read(self, size=-1):
+        self._reads -= 1
+        if self._reads == -1:
+            at = self.tell()
+            self.seek(0)
+            self.truncate()
+            self.write(self._after)
+            self.seek(at)
+        return super().read(size)
+
+
 def test_what_was_saved_is_in_the_file_between_any_two_calls_of_the_system(tmp_path, monkeypatch):
-    """A copy of the file after each call is what a process leaves that is killed there."""
-    path, written, saved, kinds, left = tmp_path / "run.mcap", [], 0, set(), tmp_path / "left.mcap"
+    """A copy of the file after each call is what a process leaves that is killed there.
+
+    A reader may have begun before the call: whenever it comes, what the reader has is right.
+    """
+    path, written, saved, kinds = tmp_path / "run.mcap", [], 0, set()
+    draw = random.Random(4)
 
     def followed(call):
         def copied(*arguments):
+            before = path.read_bytes()
             result = call(*arguments)
-            left.write_bytes(path.read_bytes())
-            there = [(k, data) for k, data in loose_messages(left)]
-            assert there == written[: len(there)] and len(there) >= saved
+            after = path.read_bytes()
+            begun = [Changing(before, after, draw.randrange(400)) for _ in range(3 if before else 0)]
+            for file, size in ((io.BytesIO(after), len(after)), *((each, len(before)) for each in begun)):
+                there = list(loose_messages(file, size))
+                assert there == written[: len(there)] and (file in begun or len(there) >= saved)
             kinds.add(call.__name__)
             return result
 
         return copied
 
-    def loose_messages(path):
-        with open(path, "rb") as file:
-            walk = Walk(file, path.stat().st_size)
-            for item in walk:
-                if isinstance(item, ChunkMessages):
-                    yield from ((int(item.log_time[k]), item.payload(k)) for k in range(len(item.log_time)))
+    def loose_messages(file, size):
+        walk = Walk(file, size)
+        for item in walk:
+            if isinstance(item, ChunkMessages):
+                yield from ((int(item.log_time[k]), item.payload(k)) for k in range(len(item.log_time)))
         assert not walk.problems
 
     for name in ("pwrite", "ftruncate"):
@@ -89,7 +114,8 @@ def test_what_was_saved_is_in_the_file_between_any_two_calls_of_the_system(tmp_p
             if made.random() < 0.05:
                 recorder.add_attachment("z", "y", made.randbytes(made.choice((0, 50000))))
     assert recorder.failure is None and kinds == {"pwrite", "ftruncate"}
-    assert list(loose_messages(path)) == written
+    with open(path, "rb") as file:
+        assert list(loose_messages(file, path.stat().st_size)) == written
     assert len(chunks_of(path)) > 2
 
 
