@@ -38,7 +38,7 @@ def arrange(code, needed, zero, new):
     for found in (bases, paths):
         for i, path in found.items():
             found[i] = tuple(c for k, c in enumerate(path) if sizes[path[: k + 1]] >= LEAST)
-    return _ordered(code, made, bases, paths, sorted(paths), new), bases
+    return _ordered(code, made, bases, paths, new), bases
 
 
 def instructions(rows):
@@ -83,40 +83,59 @@ def _paths(code, needed, zero):
     return bases, paths
 
 
-def _ordered(code, made, bases, paths, members, new, depth=0, flag=-1):
-    """Rows of `arrange` of the sorted numbers of the instructions in a block of a depth, with its register f."""
-    waits, readers, groups, rows = dict.fromkeys(members), defaultdict(list), defaultdict(list), []
+class _Block:
+    """Instructions on one path that may come next, and the inner blocks that have such ones."""
 
-    def of(i):
-        """Condition of the inner block of an instruction, or -1."""
-        return paths[i][depth] if len(paths[i]) > depth else -1
+    __slots__ = "condition", "inner", "outer", "ready"
 
-    for i in members:
-        inputs = {made[r] for r in (*code[i][2:], *paths[i][depth : depth + 1]) if r in made} & waits.keys()
+    def __init__(self, condition, outer):
+        self.condition, self.outer, self.ready, self.inner = condition, outer, [], {}
+
+    def add(self, i):
+        heapq.heappush(self.ready, i)
+        block = self
+        while block.outer is not None and block.condition not in block.outer.inner:
+            block.outer.inner[block.condition] = block
+            block = block.outer
+
+
+def _ordered(code, made, bases, paths, new):
+    """Rows of `arrange`: each instruction comes after what it reads, and after the conditions of its blocks."""
+    blocks, waits, readers = {(): _Block(-1, None)}, {}, defaultdict(list)
+    for path in paths.values():
+        for k in range(len(path)):
+            if path[: k + 1] not in blocks:
+                blocks[path[: k + 1]] = _Block(path[k], blocks[path[:k]])
+    for i, path in sorted(paths.items()):
+        inputs = {made[r] for r in (*code[i][2:], *path) if r in made} & paths.keys()
         waits[i] = len(inputs)
         for each in inputs:
             readers[each].append(i)
         if not inputs:
-            groups[of(i)].append(i)
-    while groups:
-        condition = -1 if -1 in groups else min(groups, key=lambda each: groups[each][0])
-        ready, done = groups[condition], []
-        while ready:
-            done.append(heapq.heappop(ready))
-            for each in readers[done[-1]]:
-                waits[each] -= 1
-                if not waits[each]:
-                    heapq.heappush(groups[of(each)], each)
-        del groups[condition]
-        if condition < 0:
-            rows += [(code[i], i, flag) for i in done]
-            continue
-        own = new()
-        inside = _ordered(code, made, bases, paths, sorted(done), new, depth + 1, own)
-        zeros = {row[4] for row, i, _ in inside if i == HEAD}
-        zeros = sorted(zeros | {code[i][1] for i in done if len(bases[code[i][1]]) <= depth})
-        zeros += zeros[:1] * (-len(zeros) % 5)
-        clears = [tuple(zeros[k : k + 5]) for k in range(0, len(zeros), 5)]
-        head = [(SKIP, len(clears), condition, len(inside), own), *clears]
-        rows += [(row, HEAD if k == 0 else CLEAR, flag) for k, row in enumerate(head)] + inside
-    return rows
+            blocks[path].add(i)
+
+    def filled(block, depth, flag):
+        rows = []
+        while block.ready or block.inner:
+            if block.ready:
+                i = heapq.heappop(block.ready)
+                rows.append((code[i], i, flag))
+                for each in readers[i]:
+                    waits[each] -= 1
+                    if not waits[each]:
+                        blocks[paths[each]].add(each)
+                continue
+            condition, inner = next(iter(block.inner.items()))
+            own = new()
+            inside = filled(inner, depth + 1, own)
+            del block.inner[condition]
+            zeros = {row[4] for row, i, _ in inside if i == HEAD}
+            zeros |= {row[1] for row, i, _ in inside if i >= 0 and len(bases[row[1]]) <= depth}
+            zeros = sorted(zeros)
+            zeros += zeros[:1] * (-len(zeros) % 5)
+            clears = [tuple(zeros[k : k + 5]) for k in range(0, len(zeros), 5)]
+            head = [(SKIP, len(clears), condition, len(inside), own), *clears]
+            rows += [(row, HEAD if k == 0 else CLEAR, flag) for k, row in enumerate(head)] + inside
+        return rows
+
+    return filled(blocks[()], 0, -1)
