@@ -162,6 +162,7 @@ class Schedule:
     def _discard(self, key, start):
         """Discard what waits with a key and starts at an Instant or later."""
         self.waiting = [entry for entry in self.waiting if entry.key != key or entry.start < start]
+        self._known = None
 
     def resume(self, command, key, parts, end):
         """Add a command that acts already, until an Instant: `update` reports no change."""
