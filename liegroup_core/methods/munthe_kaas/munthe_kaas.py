@@ -20,6 +20,7 @@ from liegroup_core.compiling import SameTypes
 from liegroup_core.dynamics.state import model_and_work
 from liegroup_core.dynamics.switches import ROUND_OFF
 from liegroup_core.events.switching import Switching
+from liegroup_core.forces.formulas import SHARED
 from liegroup_core.mechanism.arrays import FURTHER, SPAN, links_of
 from liegroup_core.methods.table import EXACT
 from liegroup_core.status import DEPENDENT_ROWS, EVENT, OK, SUBSTEP_TOO_SMALL, TOO_MANY_SUBSTEPS
@@ -239,6 +240,9 @@ class MuntheKaas:
             else ()
         )
         branches = (work.branches,) if len(work.branches) else ()
+        if branches:  # each evaluation finds the shares of a sliding motion anew
+            surfaces = self._model.space.forces.laws.surfaces
+            work.branches[surfaces] = np.minimum(work.branches[surfaces], SHARED)
         return (*control, *links_of(work), *lead, *branches)
 
     @property
