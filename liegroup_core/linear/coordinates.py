@@ -43,7 +43,8 @@ class Coordinates:
     preferred : names that are among them if they can be
     displaced : True: coordinates that stops or friction hold are among them, without a rate; and neighbours may be
                 beside surfaces of laws
-    states : True: states of laws are among the independent coordinates, which else have positions only
+    states : True: states of laws on which something depends are among the independent coordinates, which else have
+             positions only; other states are left out
 
     freedoms : [Freedom]
     independent, moving : indices of the independent coordinates and of the independent rates
@@ -131,7 +132,7 @@ class Coordinates:
         """Basis (f, p) of the velocities that the joints allow, in the units of the freedoms."""
         probe = self._probe
         f = probe.freedoms
-        free = np.flatnonzero(~probe.held)
+        free = np.flatnonzero(~probe.held & (probe.acts if self._with_states else True))
         if not probe.is_closed:
             return self._along_surfaces(np.eye(f)[:, free])
         # Columns of P; its nonzero singular values are at least 1.
