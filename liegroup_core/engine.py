@@ -289,12 +289,23 @@ class Engine:
 
     @property
     def _modes(self):
+        if self._switching is not None:
+            self._switching.mark(self.inputs.acting.external)
+        return self._mode_arrays
+
+    @property
+    def _mode_arrays(self):
         return () if self._switching is None else self._switching.memory
 
     @_modes.setter
     def _modes(self, modes):
-        for mine, array in zip(self._modes, modes):
+        for mine, array in zip(self._mode_arrays, modes):
             mine[...] = array
+
+    def restored(self):
+        """Continue after `set_kept`."""
+        if self._switching is not None:
+            self._switching.restored(self.inputs.acting.external)
 
     @property
     def steps(self) -> int:
@@ -625,7 +636,7 @@ class Engine:
         if not (self.serves(self.now.step) or self._has_reached(self.now)):
             return None
         work, pose, twist = self._work, self._pose.copy(), self._twist.copy()
-        clock, angles, modes = work.clock, work.angle.copy(), [array.copy() for array in self._modes]
+        clock, angles, modes = work.clock, work.angle.copy(), [array.copy() for array in self._mode_arrays]
         clock.to_step[0], clock.until[0] = self._grid.parts(self.now)
         status = self._integrator.inside(pose, twist, self.inputs.acting.external)
         found = pose, twist, work.angle.copy(), self._switching and self._switching.present_modes()
@@ -639,7 +650,7 @@ class Engine:
             return None
         base, now, integrator, external = self.base, self.now, self._integrator, self.inputs.acting.external
         pose, twist, angles = self._pose.copy(), self._twist.copy(), self._work.angle.copy()
-        h, modes = self._grid.between(base, now), [array.copy() for array in self._modes]
+        h, modes = self._grid.between(base, now), [array.copy() for array in self._mode_arrays]
         self._prepare(base, h, now)
         memory, spent = [array.copy() for array in integrator.memory], integrator.spent
         _, status = integrator.look_ahead(h, pose, twist, external)

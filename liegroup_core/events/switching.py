@@ -18,7 +18,7 @@ from liegroup_core.forces.acting import Acting
 from liegroup_core.forces.formulas import LOOSE, OPEN, SHARED, UNKNOWN
 from liegroup_core.forces.law import is_shared, next_branch, places_of_branches
 from liegroup_core.joints.stops import WITHIN_A_TURN
-from liegroup_core.mechanism.arrays import BEGIN, COORDINATE, KNOWN, SIDE, SLIP, SPAN, WATCHED
+from liegroup_core.mechanism.arrays import BEGIN, COORDINATE, KNOWN, SETTLED, SIDE, SLIP, SPAN, WATCHED
 from liegroup_core.status import BEYOND_STOP, EVENT, EVENTS_WITHOUT_END, MOST_EVENTS, OK, TOO_MANY_SUBSTEPS
 
 from .crossings import lowest
@@ -191,6 +191,16 @@ class Switching(EventTimes):
     def is_settled(self, external):
         """Whether the modes are those of the present inputs."""
         return self.are_known and (not self.any_at_rest or self._same(external))
+
+    def mark(self, external):
+        """Note in the modes, for a copy of them, whether they are those of the present inputs."""
+        if len(self._work.modes) and self.are_known:
+            self._work.modes[:, KNOWN] = SETTLED if self.is_settled(external) else 1.0
+
+    def restored(self, external):
+        """Continue with modes and inputs that were set."""
+        if len(self._work.modes) and self._work.modes[0, KNOWN] == SETTLED:
+            self._note_inputs(external)
 
     def _note_inputs(self, external):
         self._inputs = Acting(external, self._work.targets, self._work.motions).copy()

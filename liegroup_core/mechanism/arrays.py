@@ -28,6 +28,7 @@ LARGEST_ROWS = 6  # of a joint
 
 # Columns of Work.modes.
 SLIP, SIDE, COORDINATE, KNOWN, RESTS, EFFORT = range(6)
+SETTLED = 2.0  # KNOWN of modes that are those of the inputs
 # Entries of Work.watch: 1 if a step stops at events; start and size of the substep with an event.
 WATCHED, BEGIN, SPAN = range(3)
 NODES = 6  # largest number of stages of a step whose guards are kept
@@ -265,7 +266,7 @@ class RelativeWork(Struct):
     pushed: np.ndarray = shaped(1)  # positive if any of them is not zero
     held: np.ndarray = shaped("held")  # 1 if a degree of freedom or a switch row is held: switches.py
     # Of each switch: SLIP, its direction; SIDE of the stop in contact, -1 lower, 1 upper; COORDINATE at the
-    # start of the step, unwrapped; KNOWN, 1 if these are valid; RESTS, 1 if it rests because of others that
+    # start of the step, unwrapped; KNOWN, not 0 if these are valid; RESTS, 1 if it rests because of others that
     # are held, and its EFFORT then
     modes: np.ndarray = shaped("switches", 6)
     reach: np.ndarray = shaped("switches")  # coordinate of each switch that is a row
