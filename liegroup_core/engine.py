@@ -145,7 +145,7 @@ class Engine:
         self._work = self._integrator.work
         self._switching = getattr(self._integrator, "switching", None)
         self._stop_at = getattr(self._integrator, "stop_at", None)
-        self._work.clock.step_size[0], self._limited = self.step, False
+        self._work.clock.step_size[0], self._limited, self._held = self.step, False, None
         self._prepared = self._served = -1  # changes of the inputs at the last integration, and steps that it passed
         self._grid, self._warnings = StepGrid(self.step), Warnings(quiet)
         arrays = self._work.targets, self._work.motions
@@ -545,6 +545,8 @@ class Engine:
                     self.inputs.apply(stop, changed)
                 if self.base >= until:
                     break
+            elif changed:  # what was to act from the stop on does not act
+                self.inputs.give_back(self._held)
             if self._halted:
                 return
             self._checked(status)
@@ -594,6 +596,7 @@ class Engine:
             inside = sorted({*inside, sampled})
         elif sampled is not AFTER:
             change = min(change, sampled.step)
+        self._held = self.inputs.held() if inside else None
         for instant in inside:
             # A part ends only where a total changes.
             if base < instant < until:

@@ -301,7 +301,8 @@ class RunningError:
         try:
             self._send(now)
         except SimulationError as error:
-            if other.base.step < now.step:  # else a part of a step failed, which no other one depends on
+            # Else the part of a step up to this time failed, which no other one depends on.
+            if other.base.step < now.step or other.inputs.schedule.next_after(other.base) < now:
                 self._fail(error)
             raise
 
