@@ -96,8 +96,8 @@ forces:
 OWN = {"touching": TOUCHING, "controlled": CONTROLLED, "kinked": KINKED, "sampled": SAMPLED}
 ACCURACIES = ({"accuracy": 1e-5}, {"accuracy": 1e-3, "horizon": 5.0, "step": 0.1}, {"accuracy": 1e-9, "step": 2e-3})
 SECONDS, COMMANDS = 0.25, 10
-# Always: motions replace all of the scene (498); reading evaluates a motion that slides along a surface (5534), restores
-# a second run with something at rest (6822), and meets a part of a step that the second run cannot take (7402).
+# Always: motions replace all of the scene (498); reading evaluates a motion that slides along a surface (5534),
+# restores a second run with something at rest (6822), meets a part of a step that the second run cannot take (7402).
 PAIRS = [498, 5534, 6822, 7402, *some(range(5000), 24)]
 
 
