@@ -362,7 +362,9 @@ class Robot:
 
     def leave_out(self, what, name, changes_motion=False):
         """Note a part of the file that the scene omits."""
-        (self.changes if changes_motion else self.left_out).setdefault(what, []).append(name)
+        names = (self.changes if changes_motion else self.left_out).setdefault(what, [])
+        if name not in names:
+            names.append(name)
 
     def leave_out_unknown(self, root, known):
         """Note elements and attributes that the format does not define, such as misspelt ones.
