@@ -15,17 +15,20 @@ from liegroup_core.linear.coordinates import Coordinates
 from .contradictions import Effect, Effects, Missing, channel_fits
 from .fit import Fit, Solution, covariance
 from .horizon import Horizon, horizons
+from .pace import paced
+from .machine import state_at
 from .runs import Runs, Unknowns
 from .scales import no_direction, scale
-from .starts import LEAST, ROUGHLY, alone, first_states, has_others, shortest, starts_of, state_at
+from .starts import LEAST, ROUGHLY, alone, first_states, has_others, shortest, starts_of
 from .whiteness import Whiteness
 
 LEVEL = 0.95  # of intervals
 WRONG = 0.01  # probability that residuals of a right model are not found white
 SLACKS = 1.0, 1e-2, 1e-5  # of ties, one after the other
-# Of the spread of an output, one after the other: exact outputs make a narrow curved valley, which a search that begins
-# with their noise follows in small steps.
+# As of Fit.rough, one after the other: exact outputs make a narrow curved valley, which a search that begins with their
+# noise follows in small steps.
 SHARPER = 1e-2, 1e-3, 1e-4, 1e-5, 0.0
+FAR = 0.1  # mean square from which on deviations show how to go on
 FEW_SEGMENTS = 4  # of each recording, which show how long segments may be
 LINEAR = 0.01  # of the spread of an output: largest rms that is not noise, for effects to be linear
 # By the mean square in reach: a run along the log that is linear about free segments leaves more than that only if none
@@ -205,17 +208,18 @@ def _sized(effect):
     return f"{effect.value:.3g} {effect.unit}".strip().removesuffix(" 1")
 
 
-def compare(scene, log, workers=None):
+def compare(scene, log, workers=None, tell=None):
     """Comparison of a Log with a Scene.
 
     workers : threads; None: as many as cores
+    tell    : function of a text, how far the work is; None: nothing is told
     Raises SceneError for unknown channels, SimulationError if the scene cannot be simulated from the measured start.
     """
-    fit, near, solution, _ = fitted(scene, log, (), workers)
+    fit, near, solution, _ = fitted(scene, log, (), workers, tell=tell)
     return judged(fit, near, solution)
 
 
-def fitted(scene, log, names=(), workers=None, limits=None, priors=None, held_out=0.0):
+def fitted(scene, log, names=(), workers=None, limits=None, priors=None, held_out=0.0, tell=None):
     """(Fit, near Solution, tied Solution, bounds of the segments left out).
 
     One run along the log with the numbers of the scene shows whether these are near. Segments, each with a start of its
@@ -224,9 +228,11 @@ def fitted(scene, log, names=(), workers=None, limits=None, priors=None, held_ou
 
     names, limits, priors : of numbers that vary, see Fit
     held_out : share of the segments, at the end, that are left out
+    tell : as of `compare`
     """
-    fit, point = begin(scene, log, names, workers, limits, priors)
-    whole = _whole(fit, point) if names else None
+    fit, point = begin(scene, log, names, workers, limits, priors, tell)
+    # Events of contacts are in the way of a long run that is not near, as they are walls for the numbers.
+    whole = _whole(fit, point) if names and fit.runs.longest == LONGEST else None
     if whole is not None and is_in_reach(fit, whole):
         point = whole.point
     length, few = _length(fit, point)
@@ -234,7 +240,7 @@ def fitted(scene, log, names=(), workers=None, limits=None, priors=None, held_ou
     bounds = _divided(log.usable.spans, length)
     while True:
         kept = max(1, len(bounds) - round(held_out * len(bounds)))
-        near = refined(fit, fit.solve(_in_turn(fit, continued(fit, bounds[:kept], point)), ROUGHLY))
+        near = refined(fit, _solved(fit, _in_turn(fit, continued(fit, bounds[:kept], point)), ROUGHLY))
         point = near.point
         if _is_near(fit, near) or length <= shortest(fit.runs.log):
             found = tied(fit, near, whole)
@@ -257,8 +263,8 @@ def _length(fit, point, count=FEW_SEGMENTS, least=0.0):
     priors = np.where(known, fit.priors, np.column_stack([point.values, numbers.scales]))
     few = Fit(fit.runs, list(fit.deviation), fit.free, fit.limits, priors, fit.workers, late)
     while best is None or 2.0 * best <= most:
-        point = in_short_steps(few, continued(few, _some(spans, length, count), point))
-        solution = refined(few, few.solve(point, PROBING))
+        point = continued(few, _some(spans, length, count), point)
+        solution = refined(few, _solved(few, point, PROBING))
         is_near = _is_near(few, solution)
         if best is not None and not is_near:
             break
@@ -279,22 +285,32 @@ def _whole(fit, point):
     spans = fit.runs.log.spans
     halves = in_short_steps(fit, continued(fit, _some(spans, shortest(fit.runs.log)), point)).halves
     try:
-        point, found, share = continued(fit, _divided(spans, np.inf), replace(point, halves=halves)), None, FIRST_PART
+        point, share = continued(fit, _divided(spans, np.inf), replace(point, halves=halves)), FIRST_PART
         while share < 1.0:
             first, last = point.bounds.T
             if fit.run_growth(replace(point, bounds=np.column_stack([first, first + share * (last - first)]))) > LOST:
                 return None
             share *= 2.0
-        for part in SHARPER:
-            rough = [np.maximum(s, part * each.spread) for s, each in zip(fit.deviation, fit.runs.log.measured)]
-            if part and all(map(np.array_equal, rough, fit.deviation)):
-                continue
-            one = Fit(fit.runs, rough, fit.free, fit.limits, fit.priors, fit.workers)
-            found = one.solve(in_short_steps(one, point, found and found.outputs), ROUGHLY, found)
-            point = found.point
+        found = _sharpened(fit, point, ROUGHLY)
     except SimulationError:
         return None
     return found if found.growth <= LOST else None
+
+
+def _sharpened(fit, point, same):
+    """Solution from Unknowns on, with smaller and smaller deviations, see SHARPER."""
+    for part in SHARPER[:-1]:
+        one = fit.rough(part)
+        if not all(map(np.array_equal, one.deviation, fit.deviation)) and one.distance(point) > FAR:
+            point = one.solve(in_short_steps(one, point), same, enough=FAR).point
+    return fit.solve(in_short_steps(fit, point), same)
+
+
+def _solved(fit, point, same):
+    """Solution from Unknowns on; with contacts, whose outputs are steep functions of the starts, as of `_sharpened`."""
+    if fit.runs.longest < LONGEST:
+        return _sharpened(fit, point, same)
+    return fit.solve(in_short_steps(fit, point), same)
 
 
 def _in_turn(fit, point):
@@ -421,7 +437,10 @@ def continued(fit, bounds, point):
             states.append(None)
     new = np.array([state is None for state in states])
     others = iter(first_states(runs, bounds[new], point.delays, point.values) if new.any() else ())
-    return replace(point, bounds=bounds, states=tuple(next(others) if each is None else each for each in states))
+    states = tuple(next(others) if each is None else each for each in states)
+    if point.calm is not None:  # steps are those of other parts
+        point = replace(point, halves=0, calm=None)
+    return replace(point, bounds=bounds, states=states)
 
 
 def excess(fit, solution):
@@ -438,6 +457,7 @@ def excess(fit, solution):
 
 def judged(fit, near, solution):
     """Comparison of a tied Solution; near: one whose segments are free, and near to the measurements."""
+    fit.runs.tell("effects that the model may lack")
     tied_near = fit.solution(near.point, near.outputs, near.linear, SLACKS[-1])
     judge = Effects(fit, solution if is_in_reach(fit, solution) else tied_near)
     columns = [np.flatnonzero(np.isfinite(each.values).any(axis=0)) for each in fit.runs.log.measured]
@@ -468,10 +488,10 @@ def _longest(runs, log, least):
     return fit, *_length(fit, point, 1, least)
 
 
-def begin(scene, log, names=(), workers=None, limits=None, priors=None):
+def begin(scene, log, names=(), workers=None, limits=None, priors=None, tell=None):
     """(Fit, Unknowns to begin with, without segments); arguments as of `fitted`."""
     longest = min(LONGEST, OF_CONTACT * stiffest(scene.forces)[0])
-    return _begin(Runs(scene, log.usable, names, longest), workers, limits, priors)
+    return _begin(Runs(scene, log.usable, names, longest, tell), workers, limits, priors)
 
 
 def _begin(runs, workers=None, limits=None, priors=None, is_late=True):
@@ -479,6 +499,7 @@ def _begin(runs, workers=None, limits=None, priors=None, is_late=True):
     log = runs.log
     free = [each.delay is None for each in log.measured]
     fit = Fit(runs, [each.noise for each in log.measured], free, limits, priors, workers)
+    fit.deviation = [np.maximum(*pair) for pair in zip(fit.deviation, fit.least)]
     length, values = shortest(log), np.clip(runs.numbers.values, *fit.limits.T)
     bounds, delays = (
         _divided(log.spans, max(length, FEW / EARLY)),
@@ -540,16 +561,24 @@ def in_short_steps(fit, point, outputs=None):
 
     outputs : of the point, None: not known
     """
-    before, outputs = np.inf, fit.runs.base(point) if outputs is None else outputs
+    before, has_contacts = np.inf, fit.runs.longest < LONGEST
+    is_new, is_old = has_contacts and point.calm is None, has_contacts and point.calm is not None
+    outputs = fit.runs.base(point) if outputs is None else outputs
     while point.halves < MOST_HALVES:
+        rest = np.concatenate([fit.weighted(one) for one in fit.residuals(point, outputs)])
+        most = PART * max(1.0, float(np.sqrt(rest @ rest / max(len(rest), 1))))
+        if is_new:
+            point, is_new = paced(fit, point, most, MOST_HALVES), False
+            outputs = fit.runs.base(point)
         shorter = replace(point, halves=point.halves + 1)
         finer = fit.runs.base(shorter)
-        rest = np.concatenate([fit.weighted(one) for one in fit.residuals(point, outputs)])
-        size = max(1.0, float(np.sqrt(rest @ rest / max(len(rest), 1))))
         error = max(part.max(initial=0.0) for part in _largest(fit, fit.errors(outputs, finer)))
-        if error <= PART * size or error > 0.5 * before:
+        if error <= most or error > 0.5 * before:
             break
-        point, outputs, before = shorter, finer, error
+        if is_old:  # events are elsewhere now
+            is_new, is_old = True, False
+        else:
+            point, outputs, before = shorter, finer, error
     return point
 
 

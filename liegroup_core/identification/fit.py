@@ -12,6 +12,7 @@ import os
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import scipy
@@ -35,6 +36,9 @@ CLOSE = 0.01
 AS_TOLD = 0.1  # relative difference between decreases, expected and found, up to which columns serve again
 ROUND_OFF = 1e-12
 FIXED = 1e-12  # standard deviation of what does not vary, by its scale or in s
+KINDS = ("rad", "m"), ("rad/s", "m/s")  # units of outputs whose sizes are compared
+EXACT = 100.0  # of the least noise by the own spread: values with less are exact ones of a simulation
+LIGHT = 1e-6  # weight of ties of what no measurement shows: it goes on, and its gaps are no misfit
 MOVES = 2.0  # spread of an output by its noise, from which on it shows a motion
 FIRST_DAMPING, LEAST_DAMPING = 1e-3, 1e-7
 
@@ -94,7 +98,7 @@ class Solution:
     @property
     def unknowns(self):
         """Number of unknowns: starts that are not tied, delays and numbers."""
-        return sum(self.linear[k].own.shape[1] for k in self.firsts) + self.chain.columns.shape[1]
+        return sum(int(self.linear[k].own.any(axis=0).sum()) for k in self.firsts) + self.chain.columns.shape[1]
 
     @property
     def firsts(self):
@@ -143,24 +147,66 @@ class Fit:
         q = len(runs.numbers)
         self.runs, self.deviation, self.free = runs, deviation, np.asarray(free, dtype=bool)
         self.workers = workers or os.cpu_count() or 1
+        self._firsts = ()  # deviations of the first measurements of segments; (): as of the others
         self._team = ThreadPoolExecutor(self.workers, initializer=_begin_worker) if self.workers > 1 else None
         self.limits = np.tile([-np.inf, np.inf], (q, 1)) if limits is None else np.asarray(limits, dtype=float)
         self.priors = np.tile([0.0, np.inf], (q, 1)) if priors is None else np.asarray(priors, dtype=float)
-        late = np.tile([0.0, np.inf], (len(self.free), 1)) if late is None else late
+        self._late = late = np.tile([0.0, np.inf], (len(self.free), 1)) if late is None else late
         self._expected = np.vstack([late[self.free], self.priors])
         self._sizes = np.concatenate([np.ones(self.free.sum()), runs.numbers.scales])
         self.apart = [Apart(outputs) for outputs in runs.machine(runs.numbers.values).outputs]
 
+    def rough(self, part):
+        """The same Fit with deviations that are at least a part of the spread of the outputs.
+
+        Of angles and places of one clock, and of their rates, that of the one that moves most. A body that slides hardly
+        turns or sinks: that begins and ends with jerks, whose times would be walls for the numbers. But starts would
+        sink deep into contacts: the first measurements of segments have the geometric mean of this and the own spread.
+        """
+        most, first = ([np.maximum(s, part * size) for s, size in zip(self.deviation, of)] for of in self._sizes_of_outputs)
+        found = Fit(self.runs, most, self.free, self.limits, self.priors, self.workers, self._late)
+        found._firsts = first
+        return found
+
+    @cached_property
+    def least(self):
+        """[(p,)] least standard deviations that noise may have; of exact values by what moves most, as of `rough`."""
+        found = []
+        for each, most in zip(self._log, self._sizes_of_outputs[0]):
+            is_exact = (each.spread == 0.0) | (each.noise <= EXACT * each.least)
+            least = np.where(is_exact, np.maximum(each.least, LEAST * most), each.least)
+            found.append(np.where(np.isfinite(each.deviation), 0.0, least))
+        return found
+
+    @cached_property
+    def _sizes_of_outputs(self):
+        """[(p,)] as `rough` takes them, largest ones and of the first measurements."""
+        machine, found = self.runs.machine(self.runs.numbers.values), []
+        for each, outputs in zip(self._log, machine.outputs):
+            most, mean, units = each.spread.copy(), each.spread.copy(), np.array(outputs.units)
+            for angle, length in KINDS:
+                scales = np.where(units == angle, 1.0, np.where(units == length, machine.layout.size, np.nan))
+                moves = np.isfinite(scales) & (each.spread > MOVES * each.noise)
+                if moves.any():
+                    relative = (each.spread / scales)[moves]
+                    own = np.where(moves, each.spread, scales * relative.min())
+                    most = np.where(np.isfinite(scales), scales * relative.max(), most)
+                    mean = np.where(np.isfinite(scales), np.sqrt(own * most), mean)
+            found.append((most, mean))
+        return list(zip(*found))
+
     @one_blas_thread()
-    def solve(self, point, same=SAME, known=None, slack=None):
+    def solve(self, point, same=SAME, known=None, slack=None, enough=0.0):
         """Solution from Unknowns on. Raises SimulationError if the run of the point fails.
 
         same  : relative decrease of the sum of squares in the last step, unless it is small against the noise
         known : Solution nearby, with the same segments and perhaps other weights; None: none
         slack : of ties, by what one segment for itself shows of its start; None: starts are free
+        enough : cost at which the search ends
         """
         damping, columns, outputs = 0.0, self.linear_of(known), self.runs.base(point)
-        for _ in range(MOST_STEPS):
+        for k in range(MOST_STEPS):
+            self._tell(point, slack, k + 1)
             rest = [self.weighted(one) for one in self.residuals(point, outputs)]
             # Columns of an earlier point serve as long as steps with them are good; the last ones are of the end.
             is_new = not _are_of(columns, rest)
@@ -179,15 +225,21 @@ class Fit:
                 if is_better or is_small:
                     break
                 damping = max(10.0 * damping, FIRST_DAMPING)
-            ends = not is_better or is_small or cost - lower <= same * cost
+            ends = not is_better or is_small or cost - lower <= same * cost or lower <= enough
             if is_better:
                 point, outputs, damping = other, trial, 0.0 if damping < LEAST_DAMPING else 0.1 * damping
             is_as_told = abs(cost - lower - share * cost) <= AS_TOLD * share * cost
-            if ends and (is_new or is_small or is_as_told):
+            if ends and (is_new or is_small or is_as_told or lower <= enough):
                 return self.solution(point, outputs, columns, slack, bool(np.isfinite(lower)))
             if not is_as_told:
                 columns = None
         return self.solution(point, outputs, None, slack, False)
+
+    def _tell(self, point, slack, k):
+        first, last = point.bounds[:, 0].min(), point.bounds[:, 1].max()
+        of = "starts" if not len(point.values) and not self.free.any() else "numbers" if len(point.values) else "delays"
+        parts = f"{len(point.bounds)} {'tied' if slack is not None else 'free'} segment{'s' * (len(point.bounds) > 1)}"
+        self.runs.tell(f"{of} from {parts} of {first:.3g} to {last:.3g} s, iteration {k}")
 
     def solution_at(self, near, other, same):
         """Solution near one whose segments are free, with delays and numbers of other Unknowns; same: as of `solve`."""
@@ -232,7 +284,7 @@ class Fit:
         Residuals of a few values are small by chance: these keep the first estimate.
         """
         for t, each in enumerate(self._log):
-            own = each.noise_of([parts[t] for parts in solution.residuals])
+            own = np.maximum(each.noise_of([parts[t] for parts in solution.residuals]), self.least[t])
             is_less = (own < self.deviation[t]) & (np.isfinite(each.values).sum(axis=0) > ENOUGH)
             self.deviation[t] = np.where(is_less, own, self.deviation[t])
 
@@ -261,17 +313,33 @@ class Fit:
     def growth(self, residuals, columns, along=False):
         """Largest change of an output with a start that changes by 1 rad or the mechanism's size, by its spread.
 
-        Of outputs that show a motion. along : of starts of whole recordings, through the ties; else of each segment
+        Of outputs that show a motion; at least by what the output changes at first: a body that hardly turns has small
+        spreads, which are no measure of how motions part.
+        along : of starts of whole recordings, through the ties; else of each segment
         """
-        sizes, found, before = [], 0.0, None
-        for sigma, each in zip(self.deviation, self._log):
-            sizes.append(np.divide(sigma, each.spread, out=np.zeros_like(sigma), where=each.spread > MOVES * sigma))
+        found, before, least = 0.0, None, self._first_changes(residuals, columns)
+        sizes = [
+            np.where(each.spread > MOVES * s, s / np.maximum(np.maximum(each.spread, first), s), 0.0)
+            for s, each, first in zip(self.deviation, self._log, least)
+        ]
         for one, part in zip(residuals, columns):
             size = np.concatenate([np.tile(of, len(values)) for of, values in zip(sizes, one)])
             own = part.own if before is None else part.own @ before
             found = max(found, np.abs(size[:, None] * own).max(initial=0.0))
             if along:
                 before = part.tie and (part.tie.own if before is None else part.tie.own @ before)
+        return found
+
+    def _first_changes(self, residuals, columns):
+        """[(p,)] largest changes of the first outputs of segments with their starts, as of `growth`."""
+        found = [np.zeros_like(sigma) for sigma in self.deviation]
+        for one, part in zip(residuals, columns):
+            at = 0
+            for t, rest in enumerate(one):
+                if len(rest):
+                    first = np.abs(part.own[at : at + rest.shape[1]]).max(axis=1, initial=0.0)
+                    found[t] = np.maximum(found[t], first * self.deviation[t])
+                at += rest.size
         return found
 
     def run_growth(self, point):
@@ -294,8 +362,10 @@ class Fit:
 
     def weighted(self, parts):
         """(N_s,) residuals of one segment, or differences of outputs, by their deviations; 0 for NaN."""
-        rows = [np.nan_to_num(part / sigma).ravel() for part, sigma in zip(parts, self.deviation)]
-        return np.concatenate(rows)
+        rows = [np.nan_to_num(part / sigma) for part, sigma in zip(parts, self.deviation)]
+        for row, sigma, first in zip(rows, self.deviation, self._firsts):
+            row[:1] *= sigma / first
+        return np.concatenate([row.ravel() for row in rows])
 
     def cost(self, point, parts):
         """Sum of the squares of the weighted residuals, of the gaps, and of priors, by the count of the former.
@@ -363,7 +433,10 @@ class Fit:
             own = np.reshape([column[s] for column in found[: len(D)]], (len(D), len(r) + z)).T
             numbers = np.reshape([column[s] for column in found[most:]], (count, len(r) + z)).T
             columns.append((own, np.hstack([late[s], numbers])))
-        seen = [1.0 + np.linalg.norm(J[: len(r)], axis=0) for r, (J, _) in zip(rests, columns)]
+        seen = [
+            np.where(shown, 1.0 + np.linalg.norm(J[: len(r)], axis=0), LIGHT)
+            for r, (J, _), (*_, shown) in zip(rests, columns, runs.starts(point))
+        ]
         parts = []
         for s, (r, z, (J, G)) in enumerate(zip(rests, sizes, columns)):
             n, D = len(r), across[s + 1] if z else None

@@ -57,16 +57,17 @@ class Identification:
         return np.stack([self.values - half, self.values + half], axis=1)
 
 
-def identify(scene, log, names, limits=None, priors=None, held_out=0.0, workers=None):
+def identify(scene, log, names, limits=None, priors=None, held_out=0.0, workers=None, tell=None):
     """Identification of numbers of a scene.
 
     names    : as `liegroup_sim sweep --vary` takes them
     limits   : (q, 2) least and largest values; None: none
     priors   : (q, 2) expected values and standard deviations, inf: none
     held_out : share of the segments, at the end, that only validate
+    tell     : function of a text, how far the work is; None: nothing is told
     Raises SceneError, ParameterError, SimulationError.
     """
-    fit, near, solution, left = fitted(scene, log, names, workers, limits, priors, held_out)
+    fit, near, solution, left = fitted(scene, log, names, workers, limits, priors, held_out, tell)
     given, weighted = [np.isfinite(each.deviation) for each in log.measured], fit
     for _ in range(ROUNDS):
         point = in_short_steps(weighted, solution.point, solution.outputs)
@@ -110,7 +111,7 @@ def _noise(fit, solution, given):
     for t, (each, sigma, known) in enumerate(zip(fit.runs.log.measured, fit.deviation, given)):
         counts = sum(np.isfinite(parts[t]).sum(axis=0) for parts in solution.residuals)
         own = [next(channels).chi if count else 1.0 for count in counts]
-        found.append(np.where(known, sigma, np.maximum(sigma * np.array(own), each.least)))
+        found.append(np.where(known, sigma, np.maximum(sigma * np.array(own), fit.least[t])))
     return found
 
 

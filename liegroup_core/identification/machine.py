@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from liegroup_core.engine import METHOD, Engine
-from liegroup_core.errors import SceneError, SimulationError
+from liegroup_core.errors import LieGroupSimError, SceneError, SimulationError
 from liegroup_core.forces.acting import Acting
 from liegroup_core.joints.motion import COLUMNS, at, row_at, uniform
 from liegroup_core.layout import make_layout
@@ -66,6 +66,7 @@ class Segment:
     rows    : for each Measured of the log (r,) its rows in this segment
     places  : for each Measured (r,) which of the times these are
     end      : which of the times is the start of the next segment, to which the run goes on; -1: none
+    calm     : (m,) how often steps that are halved at all are doubled in each part; None: not
     """
 
     start: float
@@ -74,11 +75,19 @@ class Segment:
     rows: tuple
     places: tuple
     end: int = -1
+    calm: np.ndarray | None = None
 
     @property
     def seen(self):
         """Numbers of the times at which something was measured."""
         return np.unique(np.concatenate(self.places))
+
+    def calmed(self, starts, calm):
+        """The same with `calm` (k,) as it is from times `starts` (k,) on; before them, and with None, it has none."""
+        if calm is None or not len(calm):
+            return self
+        rows = np.searchsorted(starts, 0.5 * (self.times[1:] + self.times[:-1])) - 1
+        return replace(self, calm=np.where(rows < 0, 0, calm[rows]))
 
 
 def segments_of(machine, bounds, delays):
@@ -129,7 +138,8 @@ def moved(machine, segment, start, lag):
     """Segment that starts `start` s later, as the next one does, and in which everything was measured `lag` s later."""
     own = [segment.times[places] + lag for places in segment.places]
     ends = [segment.times[segment.end] + start] if segment.end >= 0 else []
-    return _segment(machine, segment.start + start, segment.rows, own, machine.changes(segment.times[-1] + lag), ends)
+    found = _segment(machine, segment.start + start, segment.rows, own, machine.changes(segment.times[-1] + lag), ends)
+    return found.calmed(segment.times[:-1], segment.calm)
 
 
 class _Locating(Engine):
@@ -175,6 +185,13 @@ class Machine:
         self._limits = {each.name: (each.limits.least, each.limits.largest) for each in limited}
         names = self.layout.coordinates.names
         self._rigid = [each.name for each in limited if each.limits.stiffness is None and each.name in names]
+        seen, freedoms = {name for each in log.measured for name in each.channels}, self.probe.layout.freedoms
+        own = [
+            [f for f, each in enumerate(freedoms) if each.name.startswith(f"{force.name}.") and each.name not in seen]
+            for force in scene.forces
+            if force.type == "contact"
+        ]
+        self._of_contacts = [numbers for numbers in own if numbers]
 
     def use(self, log):
         """Go on with another log that has the same channels."""
@@ -276,6 +293,29 @@ class Machine:
         if len(state.near):
             engine._switching.expect(state.near)
 
+    def shown(self, segment, state):
+        """(f,) whether a start of each freedom can show in a Segment; only states of contacts cannot.
+
+        The work, and bristles of points that do not press, accelerate no body. Bristles of a contact that slides are
+        those of its motion before the next measurement, whatever they were.
+        """
+        f, found = self.probe.freedoms, np.ones(self.probe.freedoms, dtype=bool)
+        later = segment.times[segment.seen[segment.seen > 0][:1]]
+        if not self._of_contacts or not len(later):
+            return found
+        self.at(state)
+        own = np.concatenate(self._of_contacts)
+        bodies, still = np.setdiff1d(np.arange(f), own), np.zeros((f, 2))
+        still[own, 1] = -self.probe.closed()[0][own]
+        rest = self.probe.slopes(still)[0][f:]
+        for of_one in self._of_contacts:
+            slides = np.abs(rest[of_one]).max() * (later[0] - segment.start) > 1.0
+            for k in of_one:
+                way = still.copy()
+                way[k, 1] += 1.0
+                found[k] = not slides and (self.probe.slopes(way)[0][f:][bodies] != rest[bodies]).any()
+        return found
+
     def beside(self, state, ways, change):
         """State with a change (c,) along its ways; the Probe is at the state."""
         if not change.any():
@@ -334,7 +374,8 @@ class Machine:
         if extra is not None:
             wrenches += extra
         targets = targets + np.tensordot(segment.inputs, self._shifts, 1)
-        counts = np.maximum(1, np.ceil(np.diff(segment.times) / self.longest - 1e-9)).astype(int) << halves
+        longest = self.longest * 2.0 ** (segment.calm if halves and segment.calm is not None else 0)
+        counts = np.maximum(1, np.ceil(np.diff(segment.times) / longest - 1e-9)).astype(int) << halves
         places = np.full(count + 1, -1)
         places[seen] = np.arange(len(seen))
         n, k = len(engine._pose), len(seen)
@@ -479,16 +520,25 @@ class Path:
         return found
 
 
+def state_at(machine, start, state, end, halves=0):
+    """State at a time in s to which a run from a state at `start` leads; None if it fails."""
+    try:
+        machine.path(up_to(machine, start, end), state, np.zeros(0, dtype=int), halves=halves)
+    except LieGroupSimError:
+        return None
+    return machine.present()
+
+
 def directions(probe):
-    """(scales (c,), (c, f, 2)) of the independent coordinates and rates of a Probe.
+    """(scales (c,), (c, f, 2), freedoms (c,)) of the independent coordinates and rates of a Probe.
 
     Scales: 1 rad, or the mechanism's size, and per s.
     """
     coordinates, scales = Coordinates(probe), scales_of(probe.layout)
     found = [coordinates.neighbour(k, 1.0) for k in range(len(coordinates.independent))]
     found += [coordinates.neighbour(k, 1.0, rate=True) for k in range(len(coordinates.moving))]
-    sizes = np.concatenate([scales[coordinates.independent], scales[coordinates.moving]])
-    return sizes, np.reshape(found, (len(found), probe.freedoms, 2))
+    numbers = np.concatenate([coordinates.independent, coordinates.moving])
+    return scales[numbers], np.reshape(found, (len(found), probe.freedoms, 2)), numbers
 
 
 def floating(layout):

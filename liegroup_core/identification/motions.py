@@ -51,7 +51,7 @@ def _measured(machine, model, values, own):
     probe.release(stops=True)
     joints = [(*each, pair) for each, pair in values.items() if each[0] in own and each[1] in PARTS]
     rows = [(*own[name], PARTS.index(part), *pair) for name, part, pair in joints]
-    ways, y = directions(probe)[1], np.zeros((probe.freedoms, 2))
+    (_, ways, _), y = directions(probe), np.zeros((probe.freedoms, 2))
     if len(ways) and rows:
         A = np.array([[sign * way[f, part] / sigma for way in ways] for f, sign, part, _, sigma in rows])
         off = np.array([value / sigma for *_, value, sigma in rows])

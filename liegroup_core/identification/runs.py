@@ -29,6 +29,7 @@ class Unknowns:
     values : (q,) numbers of the scene
     states : [MachineState] at the start of each segment, of the scene with these numbers
     halves : how often the longest steps are halved
+    calm   : (times in s, how often steps are doubled from then on), see pace.py; None: nowhere
     """
 
     bounds: np.ndarray
@@ -36,6 +37,7 @@ class Unknowns:
     values: np.ndarray
     states: tuple
     halves: int = 0
+    calm: tuple | None = None
 
 
 class Varied:
@@ -76,9 +78,11 @@ class Runs:
     log   : Log
     names : of numbers that vary, see Varied
     longest : s, longest step
+    tell  : function of a text, how far the work is; None: nothing is told
     """
 
-    def __init__(self, scene, log, names=(), longest=2e-3):
+    def __init__(self, scene, log, names=(), longest=2e-3, tell=None):
+        self.tell = tell or (lambda text: None)
         self.scene, self.log, self.names, self.longest = scene, log, tuple(names), longest
         self.numbers = Varied(scene, log, self.names)
         self._own, self._in_space, self._turns = threading.local(), False, None
@@ -117,10 +121,11 @@ class Runs:
 
     def segments(self, point):
         """[Segment] of Unknowns."""
-        key = point.bounds.tobytes(), point.delays.tobytes()
+        key = point.bounds.tobytes(), point.delays.tobytes(), id(point.calm)
         known, found = self._segments  # of another thread, perhaps
         if known != key:
             found = segments_of(self.machine(point.values), point.bounds, point.delays)
+            found = [each.calmed(*(point.calm or ((), None))) for each in found]
             self._segments = key, found
         return found
 
@@ -153,32 +158,38 @@ class Runs:
     def across(self, point):
         """[(c, z)] of segments: the changes of a start by its scales that change its `place` nearest to z."""
         machine, found = self.machine(point.values), []
-        for _, state, _, beside in self.starts(point):
+        for _, state, _, beside, _ in self.starts(point):
             base = machine.place(state.pose, state.twist, state.angles)
             ways = np.array([(machine.place(each.pose, each.twist, each.angles) - base) / CHANGE for each in beside])
             found.append(np.linalg.pinv(ways.T) if len(ways) else np.zeros((0, len(base))))
         return found
 
     def starts(self, point):
-        """[(scales (c,), MachineState, ways, [MachineState] CHANGE of its scale away on each way)] of segments."""
+        """[(scales (c,), MachineState, ways, [MachineState] CHANGE of its scale away on each way, shown)] of segments.
+
+        shown : (c,) whether a change on each way can show, see `Machine.shown`
+        """
         known, found = self._starts
         if known is not point:
             machine, found = self.machine(point.values), []
             for segment, state in zip(self.segments(point), point.states):
                 state = machine.timed(state, segment.start)
+                shown = machine.shown(segment, state)
                 machine.at(state)
-                scales, ways = directions(machine.probe)
-                changes = CHANGE * np.diag(scales)
-                found.append((scales, state, ways, [machine.beside(state, ways, change) for change in changes]))
+                scales, ways, numbers = directions(machine.probe)
+                beside = [machine.beside(state, ways, change) for change in CHANGE * np.diag(scales)]
+                found.append((scales, state, ways, beside, shown[numbers]))
             self._starts = point, found
         return found
 
     def beside_start(self, point, k):
-        """As `base`, with coordinate or rate k of each start changed by CHANGE times its scale; None: it has fewer.
+        """As `base`, with coordinate or rate k of each start changed by CHANGE times its scale; None: nothing shows it.
 
         Gaps are to the starts as they are.
         """
-        states = [beside[k] if k < len(beside) else None for *_, beside in self.starts(point)]
+        states = [
+            beside[k] if k < len(beside) and shown[k] else None for *_, beside, shown in self.starts(point)
+        ]
         return self.along(self.machine(point.values), self.segments(point), states, point.halves, point.states)
 
     def beside_times(self, point, start):
@@ -224,7 +235,7 @@ class Runs:
     def moved(self, point, changes):
         """States of the starts with changes [(c,)] along their ways."""
         machine, found = self.machine(point.values), []
-        for (_, state, ways, _), change in zip(self.starts(point), changes):
+        for (_, state, ways, *_), change in zip(self.starts(point), changes):
             machine.at(state)
             found.append(machine.beside(state, ways, change))
         return tuple(found)

@@ -6,18 +6,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from liegroup_core.errors import LieGroupSimError, SceneError, SimulationError
+from liegroup_core.errors import SceneError, SimulationError
 from liegroup_core.linear.channels import OutputChannels
 from liegroup_core.linear.coordinates import Coordinates
 from liegroup_core.observables.quantities import POSITION, ROTATION, TWIST
 
 from .chain import SHOWN
 from .fit import HIDDEN, Fit
-from .machine import Apart, floating, up_to
+from .machine import Apart, floating, state_at
 from .runs import CHANGE as STEP
 from .runs import Runs, Unknowns
 
 PARTS = ("position", "velocity")
+NEARLY = 1e-2  # of the spread of outputs, to which starts are fitted at first
 LEAST = 9  # measurements in a segment: those to which a start is fitted
 ROUGHLY = 1e-3  # relative decrease of the sum of squares in the last step: effects are judged by larger ones
 
@@ -35,7 +36,9 @@ def first_states(runs, bounds, delays=None, values=None):
     machine = runs.machine(runs.numbers.values if values is None else values)
     delays = np.zeros(len(log.measured)) if delays is None else delays
     state, states, length = machine.start, [], shortest(log)
-    still = alone(runs, runs.numbers.values if values is None else values)
+    # With other numbers, exact outputs lead a start astray.
+    still = alone(runs, runs.numbers.values if values is None else values).rough(NEARLY)
+    still.deviation = still._firsts
     parts = (1.0 / LEAST, 1.0) if has_others(log) else (1.0,)  # one measurement shows places, more show rates
     for begin, end in bounds:
         start, before = begin - np.mean(delays), state
@@ -58,7 +61,7 @@ def alone(runs, values, deviation=None, workers=1):
     numbers, log, still = runs.numbers, runs.log, runs
     if len(numbers):
         scaled = [replace(each, values=each.values * size) for each, size in zip(log.inputs, numbers.factors(values))]
-        still = Runs(numbers.scene_at(values), replace(log, inputs=tuple(scaled)), (), runs.longest)
+        still = Runs(numbers.scene_at(values), replace(log, inputs=tuple(scaled)), (), runs.longest, runs.tell)
     deviation = [each.noise for each in log.measured] if deviation is None else deviation
     return Fit(still, deviation, np.zeros(len(log.measured), dtype=bool), workers=workers)
 
@@ -67,15 +70,6 @@ def shortest(log):
     """Length in s of the shortest segments: of LEAST measurements."""
     fullest = max(log.measured, key=lambda each: len(each.times))
     return LEAST * (float(np.median(np.diff(fullest.times))) if len(fullest.times) > 1 else 1.0)
-
-
-def state_at(machine, start, state, end, halves=0):
-    """State at a time in s to which a run from a state at `start` leads; None if it fails."""
-    try:
-        machine.path(up_to(machine, start, end), state, np.zeros(0, dtype=int), halves=halves)
-    except LieGroupSimError:
-        return None
-    return machine.present()
 
 
 def _put(machine, log, state, time, delays):
@@ -143,7 +137,7 @@ def starts_of(fit, solution, chi):
     unknown = ~np.isfinite(np.diag(solution.covariance))
     known, segments, starts = solution.chain.covariances(shared), runs.segments(point), runs.starts(point)
     for k in solution.firsts:
-        segment, (_, state, _, beside), P = segments[k], starts[k], known[k]
+        segment, (_, state, _, beside, _), P = segments[k], starts[k], known[k]
         values, c = outputs.of(machine.seen(state)), len(beside)
         there = np.array([outputs.of(machine.seen(other)) for other in beside]).reshape(c, len(values))
         D = np.hstack([apart(there, np.tile(values, (c, 1))).T / STEP, np.zeros((len(values), len(shared)))])

@@ -51,17 +51,18 @@ class Sensitivities:
 
 
 @one_blas_thread()
-def sensitivities(scene, names, times, outputs=None, **settings):
+def sensitivities(scene, names, times, outputs=None, tell=None, **settings):
     """Sensitivities of the run of a scene from its start.
 
     names    : of numbers of the scene, as `liegroup_sim sweep --vary` takes them
     times    : (k,) s, that do not decrease
     outputs  : names, see channels.py; None: joints
+    tell     : function of a text, how far the work is; None: nothing is told
     settings : of Simulation; default: accuracy 1e-12
     Raises ParameterError, SceneError for unknown names or numbers that cannot change, SimulationError.
     Accuracy: test/verification/test_sensitivities.py.
     """
-    run = _Run(scene, names, times, outputs, settings or {"accuracy": TIGHT})
+    run = _Run(scene, names, times, outputs, settings or {"accuracy": TIGHT}, tell or (lambda text: None))
     numbers, shape = run.numbers, (*run.values.shape, len(run.numbers))
     found, errors, rough = np.zeros(shape), np.zeros(shape), np.zeros(len(numbers), dtype=bool)
     other = []
@@ -88,22 +89,23 @@ def outputs_of(simulation, names):
 class _Run:
     """A run at times, with values (k, p) of its outputs."""
 
-    def __init__(self, scene, names, times, outputs, settings):
-        self.numbers, self.settings = Numbers(scene, names), settings
+    def __init__(self, scene, names, times, outputs, settings, tell):
+        self._tell, self.numbers, self.settings = tell, Numbers(scene, names), settings
         self.times = floats("times must be finite numbers", times).ravel()
         steps = np.diff(self.times, prepend=0.0)
         if not (len(steps) and (steps >= 0.0).all() and self.times[-1] <= LATEST):
             raise SceneError(f"sensitivities need times from 0 to {LATEST:g} s that do not decrease")
         self._wanted, self.seen = outputs, None
-        self.values, self._events, self._noise, self.seen = self._run(scene)
+        self.values, self._events, self._noise, self.seen = self._run(scene, "run")
         self.outputs = tuple(self.seen.names)
 
-    def _run(self, scene):
+    def _run(self, scene, what):
         """(outputs (k, p), number of events, errors of the states (k,), OutputChannels) of the run of a scene."""
         simulation = Simulation(scene, quiet=True, **self.settings)
         outputs = self._outputs(Probe(simulation))
         values, noise = [], []
-        for sample in simulation.samples(self.times):
+        for time, sample in zip(self.times, simulation.samples(self.times)):
+            self._tell(f"{what}, {time:.3g} of {self.times[-1]:.3g} s")
             values.append(outputs.of(sample))
             noise.append(np.nan if sample.errors is None else np.max(sample.errors, initial=0.0))
         values = np.array(values).reshape(len(self.times), -1)
@@ -119,7 +121,8 @@ class _Run:
         times = [round(instant.time * 1e9) for instant in instants]
         variations = Variations(simulation, times[-1], None, numbers)
         outputs, found, errors = self._outputs(variations.probe), [], []
-        for _, noise in zip(variations.through(times), self._noise):
+        tell = lambda ns: self._tell(f"derivatives, {1e-9 * ns:.3g} of {1e-9 * times[-1]:.3g} s")  # noqa: E731
+        for _, noise in zip(variations.through(times, tell), self._noise):
             derivatives, error = variations.of_outputs(outputs)
             lost = np.where(variations.rough, np.nan, 1.0) / numbers.scales
             found.append(derivatives.T * lost)
@@ -139,7 +142,8 @@ class _Run:
         for _ in range(MOST_CHANGES):
             moves, noises, counts = [], [self._noise], set()
             for step in (1, -1, 2, -2, 3, -3):
-                values, events, noise, _ = self._run(self.numbers.beside(k, step * h))
+                what = f"{self.numbers.paths[k]} changed by {step * h:+.3g} of it"
+                values, events, noise, _ = self._run(self.numbers.beside(k, step * h), what)
                 moves.append(self.seen.apart(values, self.values))
                 noises.append(noise)
                 counts.add(events)

@@ -111,8 +111,11 @@ class Variations:
         run.restore(start)
         return [tuple(run.step_ns(parts * step) for step in window) for window in found]
 
-    def through(self, times_ns):
-        """Yield a Sample at times in ns that do not decrease; `columns` and `doubt` are there."""
+    def through(self, times_ns, tell=None):
+        """Yield a Sample at times in ns that do not decrease; `columns` and `doubt` are there.
+
+        tell : function of the time in ns, how far the run is
+        """
         waiting = list(times_ns)
         parts = iter(())
         while waiting:
@@ -127,6 +130,8 @@ class Variations:
             sample, self.columns, self.doubt = part
             self.probe.take(sample)
             self.time_ns = sample.time_ns
+            if tell is not None:
+                tell(self.time_ns)
 
     def _part(self, waiting):
         """[(Sample, columns, doubt)] at the waiting times in the next part of the run, and at its end."""

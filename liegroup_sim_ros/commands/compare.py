@@ -19,6 +19,7 @@ from liegroup_sim_ros.logs.map import Map, load_map
 from liegroup_sim_ros.logs.suggest import suggest
 from liegroup_sim_ros.report.compare_page import document, make_page, print_comparison
 from liegroup_sim_ros.report.files import check_files, write_text
+from liegroup_sim_ros.report.terminal import working
 from liegroup_sim_ros.signals import Signals
 
 from .arguments import count
@@ -72,8 +73,8 @@ def run(args):
         return 0
     log = log_of(args, scene)
     try:
-        with Console(stderr=True).status("comparing"):
-            found = compare(scene, log, args.workers)
+        with working("comparing") as tell:
+            found = compare(scene, log, args.workers, tell)
     except SimulationError as error:
         return stopped(error)
     show(found, args, scene)

@@ -22,7 +22,7 @@ from liegroup_sim_ros.recording.errors import OutputError
 from liegroup_sim_ros.recording.write_tables import close_new, new_file
 from liegroup_sim_ros.report.compare_page import NUMBERS, number_remarks
 from liegroup_sim_ros.report.tables import TextTable, table_of
-from liegroup_sim_ros.report.terminal import printed
+from liegroup_sim_ros.report.terminal import printed, working
 
 from .compare import LogError, add_log, check_log, log_of, show
 from .robot_options import robot_scene
@@ -85,8 +85,8 @@ def run(args):
     names, limits, priors = _varied(scene, args.vary)
     log = log_of(args, scene)
     try:
-        with Console(stderr=True).status("identifying"):
-            found = identify(scene, log, names, limits, priors, args.hold_out, args.workers)
+        with working("identifying") as tell:
+            found = identify(scene, log, names, limits, priors, args.hold_out, args.workers, tell)
     except SimulationError as error:
         return stopped(error)
     if args.out is not None:

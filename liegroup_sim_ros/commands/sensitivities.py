@@ -13,7 +13,7 @@ from liegroup_core import SimulationError
 from liegroup_core.linear import sensitivities
 from liegroup_sim_ros.numbers import shown
 from liegroup_sim_ros.report.tables import TextTable
-from liegroup_sim_ros.report.terminal import printed
+from liegroup_sim_ros.report.terminal import printed, working
 
 from .robot_options import add_robot_options, robot_scene
 from .states import StateError, stopped
@@ -42,7 +42,9 @@ def run(args):
     if not all(math.isfinite(time) and time >= 0.0 for time in args.at) or sorted(args.at) != args.at:
         raise StateError("--at must be times in s from 0 on, in their order")
     try:
-        found = sensitivities(robot_scene(args.scene, args), args.by, args.at, args.of)
+        scene = robot_scene(args.scene, args)
+        with working("sensitivities") as tell:
+            found = sensitivities(scene, args.by, args.at, args.of, tell)
     except SimulationError as error:
         return stopped(error)
     if args.json:

@@ -1,6 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tables of an analysis on a terminal."""
+"""Tables of an analysis, and progress, on a terminal."""
 
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
@@ -8,6 +12,16 @@ from liegroup_sim_ros.numbers import NO_NUMBER, counted, shown
 
 from .summary import OVERVIEW, balance_table, comparison_rows, overview, sections, short_names
 from .tables import TextTable
+
+
+@contextmanager
+def working(what):
+    """Show a line on stderr while work lasts, if that is a terminal; yields a function that tells how far it is."""
+    console = Console(stderr=True)
+    columns = SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn()
+    with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as bar:
+        task = bar.add_task(what, total=None)
+        yield lambda text: bar.update(task, description=f"{what}: {text}")
 
 
 def print_table(figures, console):

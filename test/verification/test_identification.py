@@ -751,7 +751,8 @@ def test_white_noise_is_white_as_often_as_is_said():
     by the factor of two that it allows; more than 35 have a probability of 1e-3. The chi-squared law has 64.
     """
     rng, x = np.random.default_rng(3), np.vander(np.linspace(-1.0, 1.0, 51), 6)
-    part, fit = Part(np.zeros(51), x, np.zeros((51, 0))), SimpleNamespace(deviation=[np.ones(1)], known=np.eye(0))
+    part = Part(np.zeros(51), x, np.zeros((51, 0)))
+    fit = SimpleNamespace(deviation=[np.ones(1)], least=[np.zeros(1)], known=np.eye(0))
 
     def chance(noise):
         rest = noise - x @ np.linalg.lstsq(x, noise, rcond=None)[0]
