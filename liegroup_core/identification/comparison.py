@@ -15,8 +15,8 @@ from liegroup_core.linear.coordinates import Coordinates
 from .contradictions import Effect, Effects, Missing, channel_fits
 from .fit import Fit, Solution, covariance
 from .horizon import Horizon, horizons
-from .pace import paced
 from .machine import state_at
+from .pace import paced
 from .runs import Runs, Unknowns
 from .scales import no_direction, scale
 from .starts import LEAST, ROUGHLY, alone, first_states, has_others, shortest, starts_of
@@ -308,7 +308,7 @@ def _sharpened(fit, point, same):
 
 def _solved(fit, point, same):
     """Solution from Unknowns on; with contacts, whose outputs are steep functions of the starts, as of `_sharpened`."""
-    if fit.runs.longest < LONGEST:
+    if fit.runs.longest < LONGEST and len(fit.runs.numbers):  # else starts would make up for the numbers
         return _sharpened(fit, point, same)
     return fit.solve(in_short_steps(fit, point), same)
 
@@ -561,7 +561,7 @@ def in_short_steps(fit, point, outputs=None):
 
     outputs : of the point, None: not known
     """
-    before, has_contacts = np.inf, fit.runs.longest < LONGEST
+    before, has_contacts = np.inf, fit.runs.has_contacts and fit.runs.longest < LONGEST
     is_new, is_old = has_contacts and point.calm is None, has_contacts and point.calm is not None
     outputs = fit.runs.base(point) if outputs is None else outputs
     while point.halves < MOST_HALVES:

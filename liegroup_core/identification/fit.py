@@ -159,11 +159,13 @@ class Fit:
     def rough(self, part):
         """The same Fit with deviations that are at least a part of the spread of the outputs.
 
-        Of angles and places of one clock, and of their rates, that of the one that moves most. A body that slides hardly
-        turns or sinks: that begins and ends with jerks, whose times would be walls for the numbers. But starts would
-        sink deep into contacts: the first measurements of segments have the geometric mean of this and the own spread.
+        Of angles and places of one clock, and of their rates, that of the one that moves most. A body that slides
+        hardly turns or sinks: that begins and ends with jerks, whose times would be walls for the numbers. But starts
+        would sink deep into contacts: first measurements of segments have the geometric mean of this and of their own.
         """
-        most, first = ([np.maximum(s, part * size) for s, size in zip(self.deviation, of)] for of in self._sizes_of_outputs)
+        most, first = (
+            [np.maximum(s, part * size) for s, size in zip(self.deviation, of)] for of in self._sizes_of_outputs
+        )
         found = Fit(self.runs, most, self.free, self.limits, self.priors, self.workers, self._late)
         found._firsts = first
         return found
@@ -177,6 +179,12 @@ class Fit:
             least = np.where(is_exact, np.maximum(each.least, LEAST * most), each.least)
             found.append(np.where(np.isfinite(each.deviation), 0.0, least))
         return found
+
+    @property
+    def raised(self):
+        """[(p,)] whether the deviation is `least`, and more than the least one by the own spread."""
+        pairs = zip(self._log, self.deviation, self.least)
+        return [(sigma <= least) & (least > each.least) for each, sigma, least in pairs]
 
     @cached_property
     def _sizes_of_outputs(self):
@@ -313,8 +321,8 @@ class Fit:
     def growth(self, residuals, columns, along=False):
         """Largest change of an output with a start that changes by 1 rad or the mechanism's size, by its spread.
 
-        Of outputs that show a motion; at least by what the output changes at first: a body that hardly turns has small
-        spreads, which are no measure of how motions part.
+        Of outputs that show a motion. With contacts at least by what the output changes at first: a body that hardly
+        turns has small spreads, which are no measure of how motions part.
         along : of starts of whole recordings, through the ties; else of each segment
         """
         found, before, least = 0.0, None, self._first_changes(residuals, columns)
@@ -333,7 +341,7 @@ class Fit:
     def _first_changes(self, residuals, columns):
         """[(p,)] largest changes of the first outputs of segments with their starts, as of `growth`."""
         found = [np.zeros_like(sigma) for sigma in self.deviation]
-        for one, part in zip(residuals, columns):
+        for one, part in zip(residuals, columns) if self.runs.has_contacts else ():
             at = 0
             for t, rest in enumerate(one):
                 if len(rest):

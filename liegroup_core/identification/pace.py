@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Steps of runs with contacts: short where a body is hit or begins to stick, long where it flies, slides or rests.
+"""Steps of runs with contacts: short where a body is hit or begins to stick, longer where it flies or rests.
 
 Steps are those of one run: later runs have the same ones, so that outputs stay smooth functions of the unknowns.
 """
@@ -10,7 +10,6 @@ import numpy as np
 
 from .machine import Segment
 
-LONGER = 3  # steps are at most 2^3 times the longest one: half of the time in which a contact acts
 SHARE = 0.1  # of the error of a run, that one part may add
 
 
@@ -29,19 +28,23 @@ def paced(fit, point, most, halves):
         own = np.maximum(np.maximum(around[:-2], around[1:-1]), around[2:])  # events move to the next part
         starts += segment.times.tolist()
         levels += [*own.tolist(), halves]  # nothing is known of what follows
-    found = max([1, *(level for level in levels if level < halves)])  # 1: steps end where contacts slip and stick
+    found = max([0, *(level for level in levels if level < halves)])
     return replace(point, halves=found, calm=(np.array(starts), found - np.minimum(levels, found)))
 
 
 def _part(fit, machine, segment, k, state, most, halves):
-    """(state at its end, least number of halvings from -LONGER on) of part k of a Segment, from a state."""
+    """(state at its end, least number of halvings) of part k of a Segment, from a state."""
     one, clocks = np.array([1]), range(len(segment.rows))
     part = Segment(
-        segment.times[k], segment.times[k : k + 2], segment.inputs[k : k + 1], (one,) * len(clocks), (one,) * len(clocks)
+        segment.times[k],
+        segment.times[k : k + 2],
+        segment.inputs[k : k + 1],
+        (one,) * len(clocks),
+        (one,) * len(clocks),
     )
-    before, level = None, -LONGER
+    before, level = None, 0
     while True:
-        outputs = machine.run(replace(part, calm=np.array([max(level, 1) - level])), state, None, max(level, 1))[:-1]
+        outputs = machine.run(part, state, None, level)[:-1]
         if before is not None:
             parts = zip(fit.apart, outputs, before, fit.deviation)
             error = max(np.abs(np.nan_to_num(apart(a, b)) / s).max(initial=0.0) for apart, a, b, s in parts)

@@ -84,6 +84,8 @@ class Runs:
     def __init__(self, scene, log, names=(), longest=2e-3, tell=None):
         self.tell = tell or (lambda text: None)
         self.scene, self.log, self.names, self.longest = scene, log, tuple(names), longest
+        # Without numbers, starts would make up for them in long segments.
+        self.has_contacts = bool(names) and any(force.type == "contact" for force in scene.forces)
         self.numbers = Varied(scene, log, self.names)
         self._own, self._in_space, self._turns = threading.local(), False, None
         self._segments = self._starts = None, None
@@ -187,9 +189,7 @@ class Runs:
 
         Gaps are to the starts as they are.
         """
-        states = [
-            beside[k] if k < len(beside) and shown[k] else None for *_, beside, shown in self.starts(point)
-        ]
+        states = [beside[k] if k < len(beside) and shown[k] else None for *_, beside, shown in self.starts(point)]
         return self.along(self.machine(point.values), self.segments(point), states, point.halves, point.states)
 
     def beside_times(self, point, start):

@@ -16,7 +16,7 @@ from .fit import range_of
 from .log import LEAST
 
 LAGS = 20
-BELOW = 0.1  # of the least noise
+BELOW = 0.1  # of a noise that is raised
 # Probabilities by the chi-squared distribution that are computed again, and for at most so many values.
 DOUBTFUL, MOST_VALUES = (1e-20, 0.05), 10_000
 SAMPLES, AT_ONCE = 400, 2_000_000  # of noise; numbers in memory
@@ -32,13 +32,13 @@ class Whiteness:
         """Probability of correlations as large between residuals of some columns of a Measured, if these are white.
 
         Within runs along the log. Residuals below LEAST of the noise are round-off, as of a motion in a plane across
-        it; those below the errors of the integration say nothing, nor do those of exact values below the least noise.
+        it; those below the errors of the integration say nothing, nor do those of exact values below `Fit.raised`.
 
         errors : [(p,)] largest errors of the integration by the noise, of each Measured; None: not known
         """
         parts = [residuals[t][:, columns] for residuals in self._solution.residuals]
-        deviation, of = self._fit.deviation[t][columns], self._fit.least[t][columns]
-        least = np.maximum(np.where(deviation <= of, BELOW, LEAST), 0.0 if errors is None else errors[t][columns])
+        deviation, raised = self._fit.deviation[t][columns], self._fit.raised[t][columns]
+        least = np.maximum(np.where(raised, BELOW, LEAST), 0.0 if errors is None else errors[t][columns])
         largest = np.nanmax(np.abs(np.concatenate(parts)), axis=0, initial=0.0)
         is_seen = largest > least * deviation
         parts, columns = [part[:, is_seen] for part in parts], np.asarray(columns)[is_seen]

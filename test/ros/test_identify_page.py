@@ -9,10 +9,20 @@ from pathlib import Path
 import pytest
 
 from liegroup_sim_ros.commands.main import main
+from liegroup_sim_ros.report.terminal import working
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "how-to" / "identify.md").read_text()
 FILES = re.findall(r"^`(\w+\.yaml)`[^`\n]*:\n\n```yaml\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
 COMMANDS = re.findall(r"^    (sed .*|liegroup_sim .*)$", PAGE, re.MULTILINE)
+
+
+def test_progress_is_for_terminals_only(monkeypatch, capsys):
+    for is_terminal in ("0", "1"):
+        monkeypatch.setenv("TTY_COMPATIBLE", is_terminal)
+        with working("identifying") as tell:
+            tell("iteration 7")
+        out, err = capsys.readouterr()
+        assert not out and ("identifying: iteration 7" in err) == (is_terminal == "1")
 
 
 @pytest.mark.turn(2)

@@ -736,6 +736,48 @@ def test_friction_of_a_contact_that_is_too_low_is_named():
     assert "friction of floor" in found.verdict.lower() and not found.agrees
 
 
+CRATE = (
+    SLED.replace("0.0475]", "DEEP]")
+    .replace("linear_velocity: [3", "linear_velocity: [SPEED")
+    .replace("sinks: 1.0e-2", "sinks: 1.0e-4")
+)
+
+
+@pytest.mark.parametrize("deep, speed, held", [(0.05, 0.0, 0), (0.04999, 0.0, 8), (0.04999, 1.0, 0)])
+def test_bristles_are_unknown_only_where_they_stick_under_load(deep, speed, held):
+    """A body has twelve unknowns, and each of four corners that press and do not slide two more.
+
+    What moves on by 10 mm to the next measurement slides: bristles yield by 0.03 mm.
+    """
+    text = CRATE.replace("DEEP", repr(deep)).replace("SPEED", repr(speed)).replace("RUBS", "0.3")
+    times = np.arange(0.0, 0.1, 0.01)
+    log = Log((), (Measured("/mocap", times, ("sled.x",), np.zeros((10, 1)), np.ones(1), 0.0),))
+    fit, point = begin(scene_from_text(text), log, workers=1)
+    start = replace(fit.runs.machine(point.values).start, time=0.0)
+    ((*_, shown),) = fit.runs.starts(replace(point, bounds=np.array([[0.0, 0.1]]), states=(start,)))
+    assert shown.sum() == 12 + held
+
+
+@pytest.mark.volume(1)
+@pytest.mark.turn(2)
+def test_friction_of_a_box_that_slides_and_stops_is_found():
+    """It stops after 0.34 s. Steps of its own for each part are as exact as short ones everywhere."""
+    truth, told = {"DEEP": 0.05, "SPEED": 1.0, "RUBS": 0.3}, []
+    text = CRATE.replace("DEEP", "0.05").replace("SPEED", "1.0").replace("RUBS", "0.35")
+    log = pose_log(truth, 0.5, CRATE, (1e-4, 1e-4))
+    found = identify(scene_from_text(text), log, ["friction"], workers=1, tell=told.append)
+    assert abs(found.values[0] - 0.3) < 4.0 * found.deviations[0] < 0.03
+    assert found.comparison.agrees and any("iteration 1" in each for each in told)
+    fit, point = found.comparison.fit, found.comparison.solution.point
+    alike = replace(point, calm=None, halves=point.halves + 1)
+    off = [
+        np.abs(one - other) / s
+        for *pair, s in zip(fit.runs.base(point)[0], fit.runs.base(alike)[0], fit.deviation)
+        for one, other in [pair]
+    ]
+    assert max(each.max() for each in off) < 0.1
+
+
 def test_components_that_never_change_have_the_noise_of_their_vector():
     """As of a motion in a plane; an output that is no vector, or all of whose components stay, has the least noise."""
     rng, times = np.random.default_rng(0), np.arange(200) * 0.01
@@ -752,7 +794,7 @@ def test_white_noise_is_white_as_often_as_is_said():
     """
     rng, x = np.random.default_rng(3), np.vander(np.linspace(-1.0, 1.0, 51), 6)
     part = Part(np.zeros(51), x, np.zeros((51, 0)))
-    fit = SimpleNamespace(deviation=[np.ones(1)], least=[np.zeros(1)], known=np.eye(0))
+    fit = SimpleNamespace(deviation=[np.ones(1)], raised=[np.zeros(1, dtype=bool)], known=np.eye(0))
 
     def chance(noise):
         rest = noise - x @ np.linalg.lstsq(x, noise, rcond=None)[0]
