@@ -123,7 +123,7 @@ class Runs:
 
     def segments(self, point):
         """[Segment] of Unknowns."""
-        key = point.bounds.tobytes(), point.delays.tobytes(), id(point.calm)
+        key = tuple(part.tobytes() for part in (point.bounds, point.delays, *(point.calm or ())))
         known, found = self._segments  # of another thread, perhaps
         if known != key:
             found = segments_of(self.machine(point.values), point.bounds, point.delays)
