@@ -6,6 +6,7 @@ import math
 import pytest
 import scipy
 from robot_texts import written
+from scene_files import cases, text_of
 
 from liegroup_core import SceneError, Simulation
 from liegroup_core.robots.held_joints import Servos
@@ -13,19 +14,7 @@ from liegroup_core.robots.options import Options
 from liegroup_core.scene.load import scene_from_robot
 
 # A hinge about y, whose bar has its centre 0.3 m below it, a slide, and a finger that follows the hinge.
-URDF = """<robot name="arm"><link name="base"/>
-<link name="bar"><inertial><origin xyz="0 0 -0.3"/><mass value="2"/>
-  <inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
-<link name="finger"><inertial><mass value="1e-9"/>
-  <inertia ixx="1e-9" iyy="1e-9" izz="1e-9" ixy="0" ixz="0" iyz="0"/></inertial></link>
-<link name="block"><inertial><mass value="3"/>
-  <inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
-<joint name="hinge" type="continuous"><parent link="base"/><child link="bar"/><axis xyz="0 1 0"/>
-  <limit effort="100" velocity="9"/></joint>
-<joint name="bend" type="revolute"><parent link="bar"/><child link="finger"/><axis xyz="0 1 0"/><mimic joint="hinge"/>
-  <limit effort="0" velocity="9" lower="-9" upper="9"/></joint>
-<joint name="lift" type="prismatic"><parent link="base"/><child link="block"/><axis xyz="0 0 1"/>
-  <limit effort="0" velocity="9" lower="-1" upper="1"/></joint></robot>"""
+URDF = text_of("arm_held_joints.urdf")
 STIFFNESS, DAMPING = 40.0, 8.0
 
 
@@ -63,14 +52,7 @@ def test_joints_that_turn_and_that_nothing_else_leads_are_held(tmp_path):
         held(tmp_path, forces=[servo])
 
 
-@pytest.mark.parametrize(
-    "keys, said",
-    [
-        ({"joints": ["hnge"]}, "servos: moving joint with one coordinate 'hnge' is not in the robot; did you mean"),
-        ({"stiffness": 0}, "stiffness must be greater than 0"),
-        ({"damping": None}, "damping"),
-    ],
-)
+@pytest.mark.parametrize("keys, said", cases("a_wrong_hold_is_refused_in_one_line"))
 def test_a_wrong_hold_is_refused_in_one_line(tmp_path, keys, said):
     with pytest.raises(SceneError, match=said) as caught:
         scene_from_robot(

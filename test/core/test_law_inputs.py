@@ -4,40 +4,14 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scene_files import cases, text_of
 
 from liegroup_core import SceneError, Simulation
 from liegroup_core.reference import integrate
 from liegroup_core.scene.load import scene_from_text
 
 # Centres of mass away from the body frames, and sensors in frames of their own.
-ARM = """
-name: arm
-gravity: [0, 0, -9.81]
-bodies:
-- {name: upper, mass: 1.2, inertia: [0.1, 0.12, 0.05], com: [0.1, 0.05, -0.4], rotation_vector: [0, 0.4, 0]}
-- {name: lower, mass: 0.7, inertia: [0.05, 0.06, 0.03], com: [-0.05, 0.1, -0.2]}
-assemble: true
-joints:
-- {name: shoulder, type: revolute, parent: world, child: upper, parent_frame: {axis: [0, 1, 0]},
-   child_frame: {axis: [0, 1, 0]}, rate: 1.3}
-- {name: elbow, type: revolute, parent: upper, child: lower, parent_frame: {position: [0, 0, -0.8], axis: [1, 0, 0]},
-   child_frame: {axis: [1, 0, 0]}, rate: -0.7}
-sensors:
-- {name: tracker, type: pose, body: lower, frame: {position: [0.1, 0.2, -0.5], rotation_vector: [0.3, -0.5, 1.1]}NOISE}
-- {name: imu, type: imu, body: upper, frame: {position: [0.1, 0, 0], rotation_vector: [0, 1, 0.4]},
-   angular_velocity_bias: [0.01, -0.02, 0.03]}
-- {name: wire, type: distance, parent: upper, child: lower, parent_point: [0.3, 0, 0], child_point: [0, 0.2, -0.4]}
-- {name: laser, type: distance, parent: world, child: lower, parent_point: [0, 2, 0]}
-- {name: coder, type: encoder, jointRESOLUTION: elbow}
-- {name: load, type: force_torque, joint: elbow}
-forces:
-- name: own
-  type: law
-  PERIOD
-  inputs: {INPUTS}
-  outputs: [{joint: elbow, effort: "-0.5*(coder0 - 0.3) + 0.1*laser1 - 0.2*imu5 + 0.1*tracker4"},
-            {joint: shoulder, effort: "0.3*wire0 - 0.2*wire1 + 0.1*tracker2 - 0.05*tracker8"}]
-"""
+ARM = text_of("arm_law_inputs.yaml")
 COUNTS = {"tracker": 13, "imu": 7, "wire": 2, "laser": 2, "coder": 1}
 
 
@@ -94,21 +68,7 @@ def test_a_sampled_law_reads_noise_and_resolution_as_they_are_recorded():
     assert np.abs(simulation.sample().pose[:, 9:] - found.position[0]).max() < 1e-7 < 1e-4 < noise
 
 
-@pytest.mark.parametrize(
-    "inputs, period, reason",
-    [
-        ("{q: load.3}", "", "inputs.q: 'load.3' is no quantity of a law"),
-        ("{q: imu.8}", "", "inputs.q: 'imu.8' is no quantity of a law"),
-        ("{q: imu.az}", "", "inputs.q: 'imu.az' is no quantity of a law; did you mean"),
-        ("{q: wire.length}", "", "inputs.q: 'wire.length' is no quantity of a law; "),
-        ("{q: wires.0}", "", 'did you mean "wire.0"'),
-        ("{q: coder.0}", "", "inputs.q: coder.0 has noise or a resolution: give the law a period"),
-        ("{q: tracker.1}", "", "inputs.q: tracker.1 has noise or a resolution: give the law a period"),
-        ("{q: {quantity: wire.0, point: [0, 0, 1]}}", "", "wire.0 has no point: omit it"),
-        ("{q: coder.0, x: tracker.1, v: tracker.8}", "period: 0.1, ", None),
-        ("{v: tracker.8}", "", None),
-    ],
-)
+@pytest.mark.parametrize("inputs, period, reason", cases("what_a_law_cannot_read_is_refused_in_one_line"))
 def test_what_a_law_cannot_read_is_refused_in_one_line(inputs, period, reason):
     text = ARM.replace("NOISE", ", position_noise: 0.1")
     text = text.replace("jointRESOLUTION: elbow", "joint: elbow, resolution: 0.1")

@@ -7,6 +7,7 @@ import naive
 import numpy as np
 import pytest
 from convergence import order_of
+from scene_files import cases
 
 from liegroup_core import Simulation, SimulationError
 from liegroup_core.joints import LOWER_PAIRS
@@ -219,16 +220,7 @@ def test_baumgarte_bounds_the_drift_of_a_long_run():
 # ---------------------------------------------------------------- settings
 
 
-@pytest.mark.parametrize(
-    "setting, text",
-    [
-        ({"stabilisation": "gear"}, "unknown stabilisation 'gear'; choose one of: none, projection, baum"),
-        ({"baumgarte_time": 0.1}, "requires stabilisation 'baumgarte', got 'none'"),
-        ({"stabilisation": "baumgarte", "baumgarte_time": 0.0}, r"at least one step \(0.001 s\), got 0"),
-        ({"stabilisation": "baumgarte", "baumgarte_time": float("nan")}, "at least one step"),
-        ({"stabilisation": ""}, "unknown stabilisation ''; choose one of: none"),
-    ],
-)
+@pytest.mark.parametrize("setting, text", cases("wrong_stabilisation_options_are_refused_with_a_remedy"))
 def test_wrong_stabilisation_options_are_refused_with_a_remedy(setting, text):
     with pytest.raises(ValueError, match=text):
         Simulation(mechanisms.named("ball"), "rkmk4", **setting)

@@ -13,7 +13,7 @@ import pytest
 import yaml
 from robot_damage import mutated
 from robot_texts import ARM_MJCF, ARM_SDF, ARM_URDF, MJCF_WITH_ALL_JOINTS, five_bar_urdf, mimic_urdf, written
-from scene_files import filled, text_of
+from scene_files import cases, filled, text_of
 from volume import VERIFY, some
 
 from liegroup_core import SceneError, Simulation, load_scene
@@ -363,12 +363,7 @@ def test_a_spring_between_a_link_and_one_that_stays(tmp_path):
     assert found[0] == found[1] and found[0].parent == "world"
 
 
-BARE = """<robot name="r"><link name="base"><inertial><mass value="9"/></inertial></link>
-<link name="a"><inertial><mass value="2"/><inertia ixx="0.1" iyy="0.2" izz="0.25"/></inertial></link>
-<link name="load">
-<inertial><origin xyz="0 0.3 0.1" rpy="0.4 0 0"/><mass value="0.5"/></inertial></link>
-<joint name="j" type="continuous"><parent link="base"/><child link="a"/></joint>
-<joint name="k" type="{}"><parent link="a"/><child link="load"/><origin xyz="0.2 0 0"/></joint></robot>"""
+BARE = text_of("bare.urdf")
 
 
 def test_links_without_inertia_are_fixed_to_the_world_or_merged(tmp_path):
@@ -408,22 +403,7 @@ def test_a_limit_that_looks_like_degrees_is_one_of_the_file(kind, limit, notes, 
     assert len(found) == len(notes) and all(map(str.startswith, found, notes))
 
 
-@pytest.mark.parametrize(
-    "geometry, color, notes",
-    [
-        ('<box size="1 2 3"/>', "0 0.5 1 1", []),
-        ('<box size="1 1 -1"/>', "0 0 1 1", ["visuals with a size that has no volume: box 1 1 -1 of a"]),
-        ('<sphere radius="0"/>', "0 0 1 1", ["visuals with a size that has no volume: sphere 0 of a"]),
-        (
-            '<mesh filename="m.stl" scale="1 0 1"/>',
-            "0 0 1 1",
-            ["visuals with a size that has no volume: mesh 1 0 1 of a"],
-        ),
-        ('<mesh filename="m.stl" scale="1 -1 1"/>', "0 0 1 1", []),  # mirrored
-        ('<box size="1 2 3"/>', "255 0 0 1", ["colours clipped to the range from 0 to 1: 255 0 0 1 of a"]),
-        ('<box size="1 2 3"/>', "0 0 1 -2", ["colours clipped to the range from 0 to 1: 0 0 1 -2 of a"]),
-    ],
-)
+@pytest.mark.parametrize("geometry, color, notes", cases("visuals_that_look_wrong_are_noted"))
 def test_visuals_that_look_wrong_are_noted(geometry, color, notes, tmp_path):
     inertial = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial>'
     visual = f'<visual><geometry>{geometry}</geometry><material name="m"><color rgba="{color}"/></material></visual>'
@@ -524,12 +504,7 @@ def test_names_that_yaml_takes_for_values(tmp_path):
     assert load_scene(path).name == "true"
 
 
-LOOP = """robot: five_bar.urdf
-gravity: [0, -9.81, 0]
-start: {}
-joints:
-  - {{name: tip, type: revolute, parent: left_end, child: right_end, parent_frame: {{}}, child_frame: {{}}}}
-"""
+LOOP = text_of("five_bar_robot.yaml")
 
 
 @pytest.mark.parametrize("start", [{"left_crank": 0.2}, {"left_crank": -0.1, "right_elbow": 0.05}])

@@ -169,12 +169,7 @@ def test_random_urdf_trees_have_mujocos_accelerations(seed, tmp_path):
 
 
 ELBOW = text_of("arm_robots.urdf")
-LIGHT = """<link name="mid"/><link name="tip"/><link name="slider"/>
-<joint name="free" type="continuous"><parent link="lower"/><child link="mid"/><axis xyz="1 0 0"/></joint>
-<joint name="turn" type="continuous"><parent link="mid"/><child link="tip"/><origin xyz="0 0 -.2"/><axis xyz="0 0 1"/>
-  <dynamics damping="0.2"/><mimic joint="el" multiplier="-0.5"/></joint>
-<joint name="slide" type="prismatic"><parent link="tip"/><child link="slider"/><axis xyz="1 0 0"/>
-  <limit lower="-9" upper="9" effort="1" velocity="1"/><mimic joint="turn" multiplier="2" offset="0.3"/></joint>"""
+LIGHT = text_of("light_links.xml")
 
 
 def test_links_without_mass_follow_the_joints_that_theirs_mimic(tmp_path):
@@ -402,12 +397,7 @@ def test_joint_coordinates_count_what_floats(text, options, file, scene, tmp_pat
     assert (saved["file_coordinates"], saved["coordinates"]) == (file, scene)
 
 
-CLOSED_FIVE_BAR = """robot: five_bar.urdf
-start_velocity: {velocities}
-joints:
-  - {{name: tip, type: revolute, parent: left_end, child: right_end, parent_frame: {{}},
-     child_frame: {{}}}}
-"""
+CLOSED_FIVE_BAR = text_of("closed_five_bar.yaml")
 
 
 def test_start_velocities_of_a_loop(tmp_path):
@@ -448,18 +438,7 @@ def test_bases_and_chains(tmp_path):
 
 def test_a_yaml_file_closes_a_loop_and_adds_a_spring(tmp_path):
     (tmp_path / "five_bar.urdf").write_text(five_bar_urdf())
-    path = written(
-        tmp_path / "closed.yaml",
-        "robot: five_bar.urdf\n"
-        "gravity: [0, -9.81, 0]\n"
-        "start: {left_crank: 0.05}\n"
-        "joints:\n"
-        "  - {name: tip, type: revolute, parent: left_end, child: right_end, parent_frame: {},"
-        " child_frame: {}}\n"
-        "forces:\n"
-        "  - {name: spring, type: torsional_spring_damper, joint: left_crank, stiffness: 5}\n"
-        "  - {name: pull, type: applied_wrench, body: left_end, force: [0, 2, 0]}\n",
-    )
+    path = written(tmp_path / "closed.yaml", text_of("five_bar_with_forces.yaml"))
     scene = load_scene(path)
     simulation = Simulation(scene, "rkmk4", 1e-3)
     ends = simulation.sample().poses

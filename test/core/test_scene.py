@@ -139,16 +139,7 @@ def test_inertia_lists_the_diagonal_then_xy_xz_yz():
     np.testing.assert_array_equal(body.inertia_matrix, [[2.0, 0.1, 0.2], [0.1, 3.0, 0.3], [0.2, 0.3, 4.0]])
 
 
-@pytest.mark.parametrize(
-    "inertia",
-    [
-        [1.0, 1.0, 2.0],  # thin disc
-        [2.0e-12, 1.0, 1.0],  # rod, a millionth as thick as long
-        [0.3333333, 0.3333333, 0.6666667],  # disc, seven digits
-        [0.36, 0.306, 0.09],
-        [1.5, 1.5, 2.0, 0.5, 0, 0],
-    ],
-)  # thin disc, axes turned by pi/4
+@pytest.mark.parametrize("inertia", cases("inertia_of_physical_bodies_is_accepted"))
 def test_inertia_of_physical_bodies_is_accepted(inertia):
     assert Body(name="b", mass=1, inertia=inertia).inertia == tuple(inertia)
 
@@ -403,15 +394,7 @@ def test_the_scene_in_the_documentation_loads():
 DEGREES = text_of("rod_scene.yaml")
 
 
-@pytest.mark.parametrize(
-    "type, limits, notes",
-    [
-        ("revolute", "{lower: -115, upper: 145}", ["115 rad are 18.3 turns", "145 rad are 23.1 turns"]),
-        ("revolute", "{lower: -3, upper: 12}", []),
-        ("revolute", "{upper: 1.0e+6}", []),
-        ("prismatic", "{lower: -90, upper: 90}", []),
-    ],
-)
+@pytest.mark.parametrize("type, limits, notes", cases("angles_that_look_like_degrees_have_a_note"))
 def test_angles_that_look_like_degrees_have_a_note(type, limits, notes):
     found = scene_from_text(filled(DEGREES, type=type, limits=limits)).notes
     assert len(found) == len(notes) and all(note in text for note, text in zip(notes, found)), found

@@ -13,6 +13,7 @@ import sys
 
 import numpy as np
 import pytest
+from scene_files import cases
 
 from liegroup_core import Simulation, load_scene
 from liegroup_core.compiling import Choice, Struct, backend, compiled, kernel, shared, stepper
@@ -320,16 +321,7 @@ def test_unsupported_arrays_are_refused(array):
         Inner(rows=array, shift=0.0)
 
 
-@pytest.mark.parametrize(
-    "scene, method",
-    [
-        ("four_bar", "rkmk54"),
-        ("heavy_top", "rkmk4"),
-        ("double_pendulum", "generalized_alpha"),
-        ("double_pendulum", "constrained_rattle4"),
-        ("lagrangian_top", "stoermer_verlet"),
-    ],
-)
+@pytest.mark.parametrize("scene, method", cases("a_copied_simulation_continues_independently"))
 @pytest.mark.parametrize("again", [copy.copy, copy.deepcopy, lambda x: pickle.loads(pickle.dumps(x))])
 def test_a_copied_simulation_continues_independently(scene, method, again):
     simulation = Simulation(load_scene(scene), method=method, step=1e-3)

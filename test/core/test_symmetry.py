@@ -7,6 +7,7 @@ Checked along integrations of `liegroup_core.reference`, which does not use symm
 
 import numpy as np
 import pytest
+from scene_files import filled, text_of
 
 from liegroup_core import Simulation, load_scene
 from liegroup_core.mechanism.body_model import initial_state
@@ -301,14 +302,7 @@ def test_values_agree_with_the_sample():
 @pytest.mark.parametrize("friction, count", [(0.0, 2), (0.5, 0)])
 def test_a_plane_conserves_what_is_across_its_normal_without_friction(friction, count):
     """It touches at few of the generic poses. Horizontal momentum and the angular one along the normal are kept."""
-    text = f"""
-name: thrown
-gravity: [0, 0, -9.81]
-bodies:
-- {{name: ball, shape: {{type: sphere, radius: 0.1, mass: 2}}, position: [0, 0, 0.3], linear_velocity: [1, 0, 0]}}
-forces:
-- {{name: floor, type: contact, body: ball, sinks: 1.0e-4, restitution: 0.5, friction: {friction}}}
-"""
+    text = filled(text_of("thrown_symmetry.yaml"), friction=friction)
     labels = [label for one in conserved_momentum(scene_from_text(text, "test")) for label in one.labels]
     linear = ["linear momentum along (1, 0, 0)", "linear momentum along (0, 1, 0)"][:count]
     assert sorted(label for label in labels if label.startswith("linear")) == sorted(linear)

@@ -575,16 +575,7 @@ def test_a_limit_below_the_reference_uncertainty_fails():
         assert len(found) == 2 and all(said in text for text in found)
 
 
-@pytest.mark.parametrize(
-    "error, uncertainty, said",
-    [
-        (1.0, 0.05, "1 m"),
-        (1.0, 0.2, "1 m (± 0.2 m)"),
-        (0.0, 0.0, "0 m"),
-        (1.0, 1.5, "1.5 m (the reference uncertainty)"),
-        (math.nan, 1.0, "not a number"),
-    ],
-)
+@pytest.mark.parametrize("error, uncertainty, said", cases("an_error_is_printed_with_its_uncertainty"))
 def test_an_error_is_printed_with_its_uncertainty(error, uncertainty, said):
     entry = {"max": error, "uncertainty": uncertainty, "unit": "m"}
     assert error_text(entry) == said

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from made_run import PACING, PAIR, record
 from rich.console import Console
+from scene_files import cases
 from waiting import PATIENCE
 
 from liegroup_core import Simulation
@@ -53,18 +54,7 @@ def test_a_run_that_was_only_stepped_is_not_too_slow(tmp_path):
     assert not [problem for problem in figures["problems"] if "slow" in problem]
 
 
-@pytest.mark.parametrize(
-    "factors, mean, text",
-    [
-        ({0: 2.0}, 2.0, "requested 2"),
-        ({0: 0.0}, 0.0, "requested: as fast as possible"),
-        # 0.3 s at 1 and 0.1 s at 0.5 take 0.3 s + 0.2 s.
-        ({0: 1.0, 150: 0.5}, 0.8, "requested 0.8 on average, changed 1 time, last 0.5"),
-        # A change at the end weighs nothing.
-        ({0: 1.0, 200: 0.5}, 1.0, "requested 1 on average, changed 1 time, last 0.5"),
-        ({0: 1.0, 50: 0.0, 100: 1.0}, None, "requested factor changed 2 times, last 1"),
-    ],
-)
+@pytest.mark.parametrize("factors, mean, text", cases("the_requested_factor_is_averaged_over_time"))
 def test_the_requested_factor_is_averaged_over_time(tmp_path, factors, mean, text):
     pacing = PACING | {"real_time_factor": 0.78}
     log = record(tmp_path / "a.mcap", scene_from_text(PAIR), 200, pacing=pacing, factors=factors)

@@ -11,18 +11,7 @@ from liegroup_sim_ros.analysis.analyse import analyse
 from liegroup_sim_ros.commands.main import main
 from liegroup_sim_ros.recording.read import read_recording
 
-SCENE = (
-    text_of("pendulum_laws.yaml")
-    + """forces:
-- name: pid
-  type: law
-  inputs: {q: hinge.position, w: hinge.velocity}
-  parameters: {kp: 6, ki: 4, kd: 0.4}
-  states: {i: {rate: e}, a: {start: 0.2, rate: (kp*e + ki*i - kd*w - a)/0.05}}
-  signals: {e: 0.5*sin(2*t) - q}
-  outputs: [{joint: hinge, effort: a}]
-"""
-)
+SCENE = text_of("pendulum_laws.yaml") + text_of("pid.yaml")
 
 
 @pytest.fixture(scope="module")

@@ -401,14 +401,7 @@ def test_a_run_writes_the_reactions_on_request(tmp_path, capsys):
 
 def test_a_run_writes_the_efforts_of_forces_at_joints_beside_the_reactions(tmp_path):
     scene = tmp_path / "driven.yaml"
-    scene.write_text(
-        "name: driven\ngravity: [0, 0, 0]\nbodies: [{name: arm, mass: 1, inertia: [1, 1, 1]}, "
-        "{name: cart, mass: 2, inertia: [1, 1, 1]}]\njoints:\n"
-        "  - {name: hinge, type: revolute, parent: world, child: arm, child_frame: {}}\n"
-        "  - {name: rail, type: prismatic, parent: arm, child: cart, child_frame: {axis: [1, 0, 0]}}\n"
-        "forces:\n  - {name: drive, type: motor, joint: hinge, torque: 2}\n"
-        "  - {name: spring, type: linear_spring_damper, joint: rail, stiffness: 5, rest_position: 1}\n"
-    )
+    scene.write_text(text_of("driven_offline.yaml"))
     arguments = ["run", str(scene), "--method", "rkmk4", "--step", "1e-3", "--every", "100"]
     for name in ("run.npz", "run.csv", "run.mcap"):
         out = ["--duration", "0.1", "--reactions", "--out", str(tmp_path / name)]

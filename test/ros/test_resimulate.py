@@ -73,17 +73,7 @@ def test_resimulation_is_bit_identical_with_every_method(ros_node, tmp_path, met
     assert pushed.count("top") > 3 and "box" in pushed
 
 
-LAWS = """
-forces:
-  - name: motor
-    type: law
-    inputs: {wz: top.wz, x: {quantity: top.x, point: [0, 0, 0.5]}}
-    tables: {torque: {x: [0, 20, 40], y: [0.3, 0.2, -0.1]}}
-    signals: {wave: 0.2*sin(30*t)}
-    outputs: [{body: top, torque: [0, 0, torque(wz) + wave]}]
-  - {name: spring, type: law, inputs: {wave: motor.wave, x: {quantity: top.x, point: [0, 0, 0.5]}},
-     outputs: [{body: top, force: ["clip(-20*x + wave, -3, 3)", 0, 0], point: [0, 0, 0.5], axes: world}]}
-"""
+LAWS = text_of("laws_of_a_top.yaml")
 
 
 @pytest.mark.parametrize("given", [{"accuracy": 1e-6}, {"method": "radau5", "step": STEP}], ids=["accuracy", "radau5"])

@@ -28,7 +28,7 @@ from nav_msgs.msg import Odometry
 from rcl_interfaces.msg import Log
 from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.typesys import Stores, get_typestore
-from scene_files import text_of
+from scene_files import cases, text_of
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Float32MultiArray, Float64, Float64MultiArray, Int64MultiArray
@@ -261,15 +261,7 @@ def test_covariances_are_squares_of_the_estimated_errors(layout, sample):
             assert np.array_equal(np.reshape(found, (6, 6)), np.diag(np.repeat(variances, 3)))
 
 
-@pytest.mark.parametrize(
-    "errors, bound, pose, twist",
-    [
-        (math.nan, (0.5, 0.25), (0.25, 0.0625), 1e10),
-        (math.nan, None, (1e10, 1e10), 1e10),
-        (math.inf, (0.5, 0.25), (1e10, 1e10), 1e10),
-        (1e200, None, (1e10, 1e10), 1e10),
-    ],
-)
+@pytest.mark.parametrize("errors, bound, pose, twist", cases("variances_of_unknown_errors_are_finite"))
 def test_variances_of_unknown_errors_are_finite(layout, sample, errors, bound, pose, twist):
     """Before the first estimate those of poses are what the accuracy allows."""
     estimated = copy.copy(sample)
@@ -538,15 +530,7 @@ def test_diagnostics(number, text, state):
         assert float(values["number"]) == pytest.approx(number, rel=1e-8)
 
 
-@pytest.mark.parametrize(
-    "broken, text",
-    [
-        ({}, "running"),
-        ({"accurate_until_s": 2.5}, "accurate until t = 2.5 s only"),
-        ({"accurate_until_s": 2.5, "predictable_until_s": 4.0}, "not predictable from t = 4 s on"),
-        ({"real_time_factor": 0.5}, "too slow: real-time factor 0.5 of 1"),
-    ],
-)
+@pytest.mark.parametrize("broken, text", cases("diagnostics_warn_if_what_was_promised_does_not_hold"))
 def test_diagnostics_warn_if_what_was_promised_does_not_hold(broken, text):
     figures = {
         "state": "running",

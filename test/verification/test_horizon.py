@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy
+from scene_files import filled, text_of
 
 from liegroup_core import Simulation
 from liegroup_core.identification import Given, Log, Measured, compare, identify
@@ -19,16 +20,9 @@ from liegroup_core.scene.load import scene_from_text
 
 MASS, LENGTH, RADIUS, VISCOUS, GRAVITY = 0.4, 0.6, 0.01, 0.02, 9.80665
 SECONDS, RATE, NOISE = 12.0, 100.0, 2e-3
-SCENE = f"""
-name: pendulum
-gravity: [0, 0, -{GRAVITY}]
-bodies:
-  - {{name: rod, position: [0, 0, {-LENGTH / 2}],
-     shape: {{type: rod, axis: [0, 0, 1], length: {LENGTH}, radius: {RADIUS}, mass: {MASS}}}}}
-joints:
-  - {{name: hinge, type: revolute, parent: world, child: rod, parent_frame: {{axis: [0, 1, 0]}},
-     friction: {{viscous: 0.01}}}}
-"""
+SCENE = filled(
+    text_of("pendulum_horizon.yaml"), gravity=GRAVITY, half=-LENGTH / 2, length=LENGTH, radius=RADIUS, mass=MASS
+)
 LACKING = {
     "nothing": lambda q, v: 0.0,
     "quadratic drag": lambda q, v: -0.01 * v * abs(v),
@@ -219,14 +213,7 @@ def test_times_of_a_horizon():
     assert [_rounded(size) for size in (0.0317, 0.07, 1.3, 0.0)] == [0.05, 0.05, 1.0, 0.0]
 
 
-SLEDGE = """
-name: sledge
-gravity: [0, 0, 0]
-bodies:
-  - {name: block, mass: 2.0, inertia: [0.1, 0.1, 0.1], position: [0, 0, 0]}
-joints:
-  - {name: rail, type: prismatic, parent: world, child: block, parent_frame: {}}
-"""
+SLEDGE = text_of("sledge_horizon.yaml")
 
 
 @pytest.mark.parametrize("is_known", [False, True])

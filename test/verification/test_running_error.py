@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from scene_files import cases
 from true_error import distance_at
 
 from liegroup_core import Simulation, SimulationError, load_scene
@@ -289,15 +290,7 @@ def angle_between(one, other):
     return math.atan2(0.5 * np.linalg.norm(axis), 0.5 * (np.trace(r) - 1.0))
 
 
-@pytest.mark.parametrize(
-    "inertia, rate",
-    [
-        ((1.0, 2.0, 3.0), (1e-6, 1.0, 0.0)),
-        ((0.6340416972471647, 0.9031129864471292, 0.9534978894806515), (1e-6, 1.0, 0.0)),
-        ((0.7, 0.8, 0.9), (1e-5, 2.0, 1e-7)),
-        ((0.55, 0.7, 0.95), (1e-7, 2.5, 1e-6)),
-    ],
-)
+@pytest.mark.parametrize("inertia, rate", cases("the_estimate_knows_an_error_that_is_all_rounding"))
 @pytest.mark.turn(3)
 def test_the_estimate_knows_an_error_that_is_all_rounding(inertia, rate):
     """Against Jacobi's elliptic functions in 30 digits; the steps are so fine that no tolerance matters."""

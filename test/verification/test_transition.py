@@ -29,18 +29,17 @@ def kapitza(speed):
     """A pendulum that stands on a pivot which is driven up and down."""
     t, q, v, a = (each.tolist() for each in driven(speed))
     return scene_from_text(
-        f"""
-name: kapitza
-gravity: [0, 0, -{GRAVITY}]
-bodies:
-  - {{name: pivot, mass: 1.0, inertia: [1, 1, 1], position: [0, 0, {STROKE}]}}
-  - {{name: rod, mass: 1.0, inertia: [0, 0, 0], position: [0, 0, {STROKE + LENGTH}]}}
-joints:
-  - {{name: rail, type: prismatic, parent: world, child: pivot, parent_frame: {{}}, child_frame: {{}}, driven: true,
-     motion: {{times: {t}, positions: {q}, velocities: {v}, accelerations: {a}}}}}
-  - {{name: pin, type: revolute, parent: pivot, child: rod, parent_frame: {{axis: [0, 1, 0]}},
-     child_frame: {{position: [0, 0, -{LENGTH}], axis: [0, 1, 0]}}}}
-""",
+        filled(
+            text_of("kapitza.yaml"),
+            gravity=GRAVITY,
+            stroke=STROKE,
+            top=STROKE + LENGTH,
+            t=t,
+            q=q,
+            v=v,
+            a=a,
+            length=LENGTH,
+        ),
         source="t",
     )
 
