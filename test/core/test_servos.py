@@ -26,15 +26,7 @@ LINEAR = "{name: pull, type: linear_servo, joint: slide, stiffness: 90, damping:
 BENCH = text_of("bench_servos.yaml")
 # Two links on a tilted base under gravity, one that slides.
 ARM = text_of("arm_servos.yaml")
-GROUPS = [
-    ("rkmk8", "relative"),
-    ("rkmk8", "se3"),
-    ("rkmk8", "so3xr3"),
-    ("generalized_alpha", "relative"),
-    ("generalized_alpha", "so3xr3"),
-    ("constrained_rattle", "relative"),
-    ("constrained_rattle", "so3xr3"),
-]
+GROUPS = cases("servos_groups")
 
 
 def scene(text, *forces):

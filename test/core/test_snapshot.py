@@ -7,7 +7,7 @@ import pickle
 
 import numpy as np
 import pytest
-from scene_files import text_of
+from scene_files import cases, text_of
 
 from liegroup_core import Simulation, load_scene
 from liegroup_core.methods.table import METHODS
@@ -18,14 +18,7 @@ from liegroup_sim_ros.recording import attachments
 SPRING = text_of("wound_snapshot.yaml")
 PLATE = text_of("plate.yaml")
 PUSH = [0.3, 0.1, 0.0, 0.0, 0.2, 0.0]
-CASES = [
-    ("four_bar", {"accuracy": 1e-5, "step": 1e-3}),
-    ("heavy_top", {"accuracy": 1e-6}),
-    ("double_pendulum", {"method": "rkmk4", "step": 1e-3, "group": "se3"}),
-    ("four_bar", {"method": "generalized_alpha", "step": 1e-3}),
-    ("bricard", {"method": "constrained_rattle", "step": 1e-3}),
-    ("heavy_top", {"method": "rkmk853", "step": 1e-2, "rtol": 1e-11, "atol": 1e-11}),
-]
+CASES = cases("snapshot_cases")
 
 
 def trace(simulation, count=40):

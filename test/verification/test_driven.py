@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from convergence import order_by_count
 from given import reference_inputs
-from scene_files import filled, text_of
+from scene_files import cases, filled, text_of
 from scipy.interpolate import PchipInterpolator, make_interp_spline
 
 from liegroup_core import SceneError, Simulation, load_scene
@@ -41,14 +41,7 @@ def difference(simulation, exact, k):
     )
 
 
-ORDERS = {
-    "rkmk4": (4, 0.02),
-    "rkmk8": (8, 0.04),
-    "generalized_alpha": (2, 0.02),
-    "constrained_rattle": (2, 0.02),
-    "constrained_rattle4": (4, 0.02),
-    "constrained_rattle8": (8, 0.06),
-}
+ORDERS = cases("driven_orders")
 
 
 @pytest.fixture(scope="module", params=[PIVOT, ARM], ids=["pivot", "arm"])

@@ -16,21 +16,7 @@ from liegroup_core.scene.description import Body, Frame, Joint, LinearSpringDamp
 
 FORCE = {"heavy_top": 40.0, "four_bar": 5.0, "double_pendulum": 2.0, "free_body": 20.0}  # N
 ON, OFF = 0.1203, 0.2417  # s, inside a step
-CASES = [
-    ("heavy_top", "rkmk4", 2e-3, "none"),
-    ("heavy_top", "rkmk8", 2e-2, "none"),
-    ("heavy_top", "rkmk54", 2e-2, "none"),
-    ("heavy_top", "generalized_alpha", 1e-3, "none"),
-    ("four_bar", "generalized_alpha", 2e-4, "none"),
-    ("double_pendulum", "generalized_alpha", 1e-3, "none"),
-    ("heavy_top", "constrained_rattle", 1e-3, "none"),
-    ("four_bar", "rkmk4", 5e-4, "projection"),
-    ("four_bar", "rkmk2", 1e-4, "baumgarte"),
-    ("double_pendulum", "rkmk4", 5e-3, "none"),
-    ("double_pendulum", "constrained_rattle4", 5e-3, "none"),
-    ("free_body", "lie_midpoint", 5e-3, "none"),
-    ("free_body", "coadjoint_rkmk4", 2e-2, "none"),
-]
+CASES = cases("running_error_cases")
 
 
 def pushed(scene, method, step, stabilisation):
