@@ -190,6 +190,13 @@ def chain(n, kind="spherical", length=0.1, mass=0.1):
     return Scene(name="chain", gravity=(0, 0, -9.81), bodies=bodies, joints=joints)
 
 
+def with_every_group():
+    """Links for `mechanism`: a branched tree with every group of a joint and every lower pair, and a free body."""
+    chain = ("planar", "universal", "cylindrical", "spherical", "screw")
+    links = list(zip(("world", "a", "b", "c", "d"), "abcde", chain))
+    return with_every_pair([*links, ("b", "f", "prismatic"), ("world", "g", None), ("g", "h", "revolute")])
+
+
 def bar(name, start, end, rate=0.0, start_velocity=(0.0, 0.0), mass=1.0):
     """Bar in the x-y plane from start to end, rotating about z at `rate`; x along the bar."""
     start, end = np.array(start, dtype=float), np.array(end, dtype=float)

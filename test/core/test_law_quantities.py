@@ -102,18 +102,12 @@ def leading(outputs, **keys):
 
 # {case: (law, effort limit, (target position, target velocity)(t, q, w))}
 LED = {
-    "both": (
-        leading({"position": "0.4*sin(2*t) + 0.2*q", "velocity": "0.8*cos(2*t)"}),
-        None,
-        lambda t, q, w: (0.4 * np.sin(2 * t) + 0.2 * q, 0.8 * np.cos(2 * t)),
-    ),
-    "position, limited": (
-        leading({"position": "0.8*sin(3*t) - 0.1*w"}),
-        2.5,
-        lambda t, q, w: (0.8 * np.sin(3 * t) - 0.1 * w, 0.1),
-    ),
+    "both": (leading({"position": "0.4*sin(2*t) + 0.2*q", "velocity": "0.8*cos(2*t)"}), None,
+             lambda t, q, w: (0.4 * np.sin(2 * t) + 0.2 * q, 0.8 * np.cos(2 * t))),
+    "position, limited": (leading({"position": "0.8*sin(3*t) - 0.1*w"}), 2.5,
+                          lambda t, q, w: (0.8 * np.sin(3 * t) - 0.1 * w, 0.1)),
     "velocity": (leading({"velocity": "tanh(t)*q"}), None, lambda t, q, w: (0.0, np.tanh(t) * q)),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("case", LED)
@@ -189,13 +183,9 @@ def test_a_law_whose_number_does_not_exist_is_named():
     """The root of cos(q) - 0.5 does not exist from an angle of pi/3 on, which the pendulum passes at a known time."""
     inputs = {"q": "hinge.position"}
     fine = {"type": "law", "name": "fine", "inputs": inputs, "outputs": [{"joint": "hinge", "effort": "4"}]}
-    own = {
-        "type": "law",
-        "name": "own",
-        "inputs": inputs,
-        "signals": {"twice": "2*q", "root": "sqrt(cos(twice/2) - 0.5)", "after": "root + 1"},
-        "outputs": [{"body": "bob", "force": [0, 0, 0], "torque": [0, "0.001*after", 0]}],
-    }
+    signals = {"twice": "2*q", "root": "sqrt(cos(twice/2) - 0.5)", "after": "root + 1"}
+    own = {"type": "law", "name": "own", "inputs": inputs, "signals": signals}
+    own["outputs"] = [{"body": "bob", "force": [0, 0, 0], "torque": [0, "0.001*after", 0]}]
     slope = lambda t, y: [y[1], (4 - WEIGHT * np.sin(y[0])) / INERTIA]  # noqa: E731
     passes = lambda t, y: y[0] - np.pi / 3  # noqa: E731
     known = solve_ivp(slope, (0, 2), [0.7, 0.0], rtol=1e-10, atol=1e-12, events=passes).t_events[0][0]
@@ -212,14 +202,8 @@ def test_a_law_whose_number_does_not_exist_is_named():
 
 def test_a_sampled_law_and_a_state_whose_numbers_do_not_exist_are_named():
     """At its first instant after 0.5 s, and where a rate grows without bound."""
-    sampled = {
-        "type": "law",
-        "name": "own",
-        "period": 0.1,
-        "delay": 0.3,
-        "states": {"n": {"update": "n + 1"}},
-        "outputs": [{"joint": "hinge", "effort": "log(5.5 - n)"}],
-    }
+    sampled = {"type": "law", "name": "own", "period": 0.1, "delay": 0.3, "states": {"n": {"update": "n + 1"}}}
+    sampled["outputs"] = [{"joint": "hinge", "effort": "log(5.5 - n)"}]
     simulation = Simulation(pendulum(sampled), quiet=True)
     with pytest.raises(SimulationError) as stopped:
         simulation.advance_to(2.0)
