@@ -17,6 +17,7 @@ from liegroup_core.robots.options import Options
 from liegroup_core.robots.starts import Start
 from liegroup_core.scene.load import scene_from_robot
 
+pytestmark = pytest.mark.usefixtures("mjcf_here")
 FILES = {kind: text_of(f"legs.{kind}") for kind in ("urdf", "sdf", "xml")}
 
 

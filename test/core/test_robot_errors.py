@@ -309,6 +309,17 @@ def test_a_tool_that_prints_too_much_is_refused(tmp_path, monkeypatch):
         load_scene(path)
 
 
+@pytest.mark.parametrize("name", ["all.xml", "arm.xml"])
+def test_mjcf_compiles_to_the_same_in_a_process_of_its_own(name, tmp_path, request):
+    """Other tests compile it in theirs, see mjcf_here of conftest.py."""
+    files(tmp_path)
+    apart_from_here = load_scene(tmp_path / name)
+    request.getfixturevalue("mjcf_here")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(apart, "SECONDS", 0.0)  # no other process ends in time
+        assert repr(load_scene(tmp_path / name).model_dump()) == repr(apart_from_here.model_dump())
+
+
 def test_a_package_that_is_not_there():
     with pytest.raises(SceneError, match="the package 'nowhere' is not found"):
         load_scene("package://nowhere/a.urdf")

@@ -17,6 +17,7 @@ from liegroup_core.robots.read import read_robot
 from liegroup_core.robots.resources import find_resource
 from liegroup_core.scene.load import scene_from_robot
 
+pytestmark = pytest.mark.usefixtures("mjcf_here")
 INERTIAL = "<inertial><mass>2</mass><inertia><ixx>0.1</ixx><iyy>0.2</iyy><izz>0.25</izz></inertia></inertial>"
 
 

@@ -13,6 +13,7 @@ from liegroup_core.scene.load import scene_of
 from liegroup_sim_ros.commands.main import main
 
 G = 9.81
+pytestmark = pytest.mark.usefixtures("mjcf_here")
 ARM = text_of("arm_robot_sensors.urdf")
 MOVING = Options(start={"shoulder": 0.3}, start_velocity={"shoulder": 2.0})
 

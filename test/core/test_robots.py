@@ -33,6 +33,8 @@ from liegroup_core.robots.starts import Start
 from liegroup_core.scene import scene_from_text
 from liegroup_core.scene.load import scene_from_robot
 
+pytestmark = pytest.mark.usefixtures("mjcf_here")
+
 
 def peers():
     """The comparisons of benchmarks/robots.py."""
