@@ -11,8 +11,6 @@ import numpy as np
 import pytest
 from golden import few_steps
 from mcap.reader import make_reader
-from rcl_interfaces.msg import Log
-from rclpy.serialization import deserialize_message, serialize_message
 from scene_files import text_of
 from volume import VERIFY
 
@@ -20,7 +18,7 @@ from liegroup_core import Simulation, load_scene
 from liegroup_sim_ros.analysis.analyse import analyse
 from liegroup_sim_ros.commands.main import main
 from liegroup_sim_ros.messages import topics
-from liegroup_sim_ros.messages.codecs import LogCodec, WrenchStampedCodec
+from liegroup_sim_ros.messages.codecs import WrenchStampedCodec
 from liegroup_sim_ros.messages.sensors import sensors
 from liegroup_sim_ros.numbers import counted
 from liegroup_sim_ros.playback.resimulate import resimulate
@@ -291,16 +289,6 @@ def test_a_recording_needs_interface_packages_but_not_rclpy(tmp_path):
     assert refused.returncode == 2 and "geometry_msgs" in refused.stderr
     assert "Traceback" not in refused.stderr and not (tmp_path / "b.mcap").exists()
     assert run(hidden, tmp_path / "b.npz").returncode == 0
-
-
-@pytest.mark.parametrize("name, text", [("", ""), ("start", "abc"), ("fault", "at ω = 1")])
-def test_events_are_encoded_like_ros_strings(name, text):
-    data = LogCodec.encode(3_000_000_007, LogCodec.ERROR, name, text)
-    message = deserialize_message(data, Log)
-    assert (message.stamp.sec, message.stamp.nanosec) == (3, 7)
-    assert (message.level, message.name, message.msg, message.line) == (40, name, text, 0)
-    # The bytes in between are whatever was in memory there; ours are zero.
-    assert len(serialize_message(message)) == len(data)
 
 
 @pytest.mark.parametrize(
