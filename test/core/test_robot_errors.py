@@ -12,12 +12,20 @@ import numpy as np
 import pytest
 import yaml
 from robot_damage import mutated
-from robot_texts import ARM_MJCF, ARM_SDF, ARM_URDF, MJCF_WITH_ALL_JOINTS, five_bar_urdf, mimic_urdf, written
+from robot_texts import (
+    ARM_MJCF,
+    ARM_SDF,
+    ARM_URDF,
+    FIVE_BAR_TIP,
+    MJCF_WITH_ALL_JOINTS,
+    five_bar_urdf,
+    mimic_urdf,
+    written,
+)
 from scene_files import cases, filled, text_of
 from volume import VERIFY, some
 
 from liegroup_core import SceneError, Simulation, load_scene
-from liegroup_core.joints.kinds import Joint
 from liegroup_core.layout import make_layout
 from liegroup_core.robots import apart
 from liegroup_core.robots.access import served_from
@@ -83,13 +91,6 @@ def test_what_looks_wrong_is_noted(file, row, tmp_path):
     scene = load_scene(changed(tmp_path, file, row))
     found = [note for note in scene.notes if row["note"] in note]
     assert [note in scene.differences for note in found] == ([] if row["motion"] is None else [row["motion"]])
-
-
-def urdf(tmp_path, old, new):
-    """Path of the arm's URDF with one change."""
-    assert ARM_URDF.count(old) >= 1
-    path = written(tmp_path / "arm.urdf", ARM_URDF.replace(old, new, 1))
-    return path
 
 
 @pytest.mark.parametrize(
@@ -209,7 +210,7 @@ def test_arguments_of_xacro(tmp_path):
         scene_from_robot(path, Options(xacro={"lenght": "3"}))
     beside.write_text("robot: two.urdf.xacro\nxacro: {m: [1]}\n")
     assert refusal(beside).startswith(f"{beside}:2: xacro must have one text, number")
-    plain = urdf(tmp_path, "arm", "arm")
+    plain = written(tmp_path / "arm.urdf", ARM_URDF)
     with pytest.raises(SceneError, match="is not a xacro file and takes no arguments: omit m"):
         scene_from_robot(plain, Options(xacro={"m": "1"}))
 
@@ -511,8 +512,8 @@ def test_an_srdf_file_needs_a_pose(tmp_path):
 
 
 def test_names_that_yaml_takes_for_values(tmp_path):
-    path = urdf(tmp_path, '<robot name="arm"', '<robot name="true"')
-    assert load_scene(path).name == "true"
+    text = ARM_URDF.replace('<robot name="arm"', '<robot name="true"')
+    assert load_scene(written(tmp_path / "arm.urdf", text)).name == "true"
 
 
 LOOP = text_of("five_bar_robot.yaml")
@@ -544,22 +545,7 @@ def test_start_values_that_a_loop_cannot_keep_are_refused_with_the_nearest(tmp_p
     path.write_text(LOOP.format(str({name: float(nearest[name]) for name in names}).replace("'", "")))
     load_scene(path)
     with pytest.raises(SceneError, match=r"five_bar.urdf: --start \"left_"):
-        scene_from_robot(
-            tmp_path / "five_bar.urdf",
-            Options(
-                start=start,
-                joints=[
-                    Joint(
-                        name="tip",
-                        type="revolute",
-                        parent="left_end",
-                        child="right_end",
-                        parent_frame={},
-                        child_frame={},
-                    )
-                ],
-            ),
-        )
+        scene_from_robot(tmp_path / "five_bar.urdf", Options(start=start, joints=[FIVE_BAR_TIP]))
 
 
 @pytest.mark.parametrize("digits, moved", [(15, False), (4, True), (1, None)])
@@ -599,14 +585,7 @@ def test_a_loop_that_cannot_close_names_the_closing_joint(tmp_path):
     )
     text = refusal(tmp_path / "loop.yaml")
     assert f'{tmp_path / "loop.yaml"}:5: joints[0] "tip": cannot be assembled' in text
-    far = Joint(
-        name="close_left_end_ground",
-        type="revolute",
-        parent="left_end",
-        child="ground",
-        parent_frame={},
-        child_frame={"position": [9.0, 0.0, 0.0]},
-    )
+    far = FIVE_BAR_TIP.remade(name="close_left_end_ground", child="ground", child_frame={"position": (9, 0, 0)})
     with pytest.raises(SceneError, match='--close "close_left_end_ground": cannot be assembled'):
         scene_from_robot(path, Options(joints=[far]))
 

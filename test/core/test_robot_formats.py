@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from robot_texts import ARM_SDF, ARM_URDF, bar, written
+from robot_texts import ARM_SDF, ARM_URDF, bar, freedoms, written
 from scene_files import cases, filled, text_of
 from scipy.integrate import solve_ivp
 
@@ -21,15 +21,9 @@ pytestmark = pytest.mark.usefixtures("mjcf_here")
 INERTIAL = "<inertial><mass>2</mass><inertia><ixx>0.1</ixx><iyy>0.2</iyy><izz>0.25</izz></inertia></inertial>"
 
 
-def freedoms(simulation):
-    """Degrees of freedom at the start."""
-    return 6 * len(simulation.scene.bodies) - simulation.layout.model.row_residual.size
-
-
 def sdf(folder, text, version="1.9"):
     """Path of an SDF file."""
-    path = written(folder / "model.sdf", f'<sdf version="{version}">{text}</sdf>')
-    return path
+    return written(folder / "model.sdf", f'<sdf version="{version}">{text}</sdf>')
 
 
 def test_frames_of_nested_models(tmp_path):
