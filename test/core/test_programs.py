@@ -162,6 +162,7 @@ def scene_of(name):
 
 
 @pytest.mark.parametrize("part", range(4))
+@pytest.mark.volume(2)
 def test_programs_have_one_effect_whatever_is_read(part):
     """Bit-identical, snapshots too; if one cannot go on, the other cannot."""
     every = cases()

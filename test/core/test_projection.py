@@ -143,6 +143,7 @@ def test_projection_leaves_ground_joints_on_se3_unchanged(kind):
 
 @pytest.mark.parametrize("name", ["chain of hinges", "every kind", "net", "floating"])
 @pytest.mark.parametrize("group", ["se3", "so3xr3"])
+@pytest.mark.volume(3)
 def test_projection_keeps_order_four_and_satisfies_joints(name, group):
     """Order 4 against a run without projection whose step is so small that drift is negligible."""
     scene = mechanisms.named(name)

@@ -70,6 +70,7 @@ def test_a_sampled_controller_with_delay_has_the_exact_discrete_motion(period, d
 
 
 @pytest.mark.parametrize("period, delay", INSTANTS)
+@pytest.mark.volume(2)
 def test_the_reference_integration_has_the_exact_discrete_motion(period, delay):
     scene = cart(period, delay)
     found, uncertainty = integrate(scene, *Simulation(scene, quiet=True).state(), np.array([0.3, float(END)]))

@@ -96,6 +96,7 @@ def driven(lag, compliance):
     ("lag", "compliance", "effect", "size"),
     [(0.01, 0.0, "second-order lag of hinge.effort by 10 ms", 1.0), (0.0, 0.02, "flexibility of hinge", 0.02)],
 )
+@pytest.mark.volume(1)
 def test_a_drive_that_lags_or_bends_is_named(lag, compliance, effect, size):
     """The size is linear about a model without: to a tenth."""
     scene = scene_from_text(SCENE.replace("viscous: 0.01", f"viscous: {VISCOUS}"))
@@ -176,6 +177,7 @@ def test_a_wrong_mass_of_a_driven_load_shows_in_long_runs():
     assert found.horizon.error.max() > 0.5 * spread
 
 
+@pytest.mark.turn(3)
 def test_the_explained_part_is_that_of_the_noise_of_starts():
     """Of 12 right models the mean square of error by what is explained is near 1: within four standard deviations.
 
@@ -249,6 +251,7 @@ def test_predictions_beside_a_machine_that_is_pushed(is_known):
 
 
 @pytest.mark.parametrize("what", ["nothing", "a jam", "a payload", "a wrong sign"])
+@pytest.mark.volume(2)
 def test_a_machine_that_departs_is_seen_within_a_second(what):
     """Of a pendulum, each quarter of a second, up to 1 s ahead; before, and of the same, errors are as explained.
 

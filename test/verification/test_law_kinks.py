@@ -111,6 +111,7 @@ def test_a_law_that_ends_with_a_step_ends(accuracy):
 
 @pytest.mark.parametrize("name", KINKS)
 @pytest.mark.parametrize("method", ["rkmk54", "rkmk853", "radau5"])
+@pytest.mark.volume(14)
 def test_errors_are_those_of_the_tolerance_through_kinks(name, method):
     """At most ten times the tolerance, as of smooth motions."""
     law, known = KINKS[name]
@@ -123,6 +124,7 @@ def test_errors_are_those_of_the_tolerance_through_kinks(name, method):
 
 @pytest.mark.parametrize("name", KINKS)
 @pytest.mark.parametrize("group", ["auto", "se3"])
+@pytest.mark.volume(10)
 def test_runs_to_an_accuracy_keep_it_through_kinks(name, group):
     law, known = KINKS[name]
     for accuracy in (1e-4, 1e-9):
@@ -183,6 +185,7 @@ SLIDES = {
 
 @pytest.mark.parametrize("name", SLIDES)
 @pytest.mark.parametrize("group", ["auto", "se3"])
+@pytest.mark.volume(8)
 def test_motions_slide_where_both_sides_lead_back(name, group):
     """To an accuracy, and the effort is that on the surface."""
     law, known, effort = SLIDES[name]
@@ -196,6 +199,7 @@ def test_motions_slide_where_both_sides_lead_back(name, group):
 
 @pytest.mark.parametrize("method", ["rkmk54", "rkmk853", "radau5"])
 @pytest.mark.parametrize("name", SLIDES)
+@pytest.mark.volume(8)
 def test_methods_keep_their_tolerance_along_surfaces(method, name):
     law, known, _ = SLIDES[name]
     for tolerance in (1e-5, 1e-11):
@@ -237,6 +241,7 @@ def test_a_body_that_turns_slides_along_a_surface_of_the_world():
 
 
 @pytest.mark.parametrize("name, size", [("slider_crank", 2.0), ("hinge_chain", 1.0), ("double_pendulum", 6.0)])
+@pytest.mark.volume(1)
 def test_a_sign_of_a_rate_is_dry_friction(name, size):
     """Against the switch of the joint, to the sum of both estimates."""
     scene = load_scene(name)
@@ -499,6 +504,7 @@ def test_a_force_in_a_window_that_a_step_flies_through_is_seen(effort, work):
     assert abs(found.twist[0, 0, 5] - exact) < uncertainty.linear[0, 0] < 1e-8
 
 
+@pytest.mark.turn(3)
 def test_many_branches_may_change_in_a_step_each_up_to_a_thousand_times():
     """1034 kinks of two terms in a step of 1 s: the speed is the integral of |sin w t|, 2 / w for each half wave."""
     rates = 1600.0, 1650.0

@@ -104,6 +104,7 @@ UNDER_LAWS = {
 
 
 @pytest.mark.parametrize("name", UNDER_LAWS)
+@pytest.mark.volume(2)
 def test_laws_at_a_tight_accuracy(name):
     """The engine is within its accuracy, the reference within its uncertainty: at most 1e-9.
 
@@ -225,6 +226,7 @@ def way_along_axis(scene, trajectory):
 
 
 @pytest.mark.parametrize("name", CLOSED_FORMS)
+@pytest.mark.volume(4)
 def test_reference_integration_and_engine_agree_with_closed_forms(name):
     """Tolerance: the reported uncertainty plus round-off of values up to 100.
 

@@ -153,6 +153,7 @@ def test_the_implicit_form_of_austin_uses_the_mean_momentum():
 
 
 @pytest.mark.parametrize("method", KEEP_MOMENTUM)
+@pytest.mark.volume(4)
 def test_free_body_momentum_is_conserved_at_every_step(method):
     """16 s in steps of 8 s to 1/4096 s: round-off.
 

@@ -147,6 +147,7 @@ def test_efforts_hold_a_pose(scene, joints, freedoms):
 
 
 @pytest.mark.parametrize("file", ["five_bar.yaml", "scissor_lift.yaml", "stewart.sdf"])
+@pytest.mark.volume(1)
 def test_a_held_coordinate_of_a_loop_keeps_its_value(file):
     """Its own effort holds it while all others move to an equilibrium, in the five bar by more than 2 rad.
 
