@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the processes of all tests have in common."""
 
+import json
 import os
 import signal
+from pathlib import Path
 
+import pytest
 from volume import has_turn, some  # imports no NumPy
 
 # One thread for BLAS, before any test loads NumPy: more make small solves slower.
@@ -12,6 +15,28 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.cpu_count = lambda: 1
 # A shell starts a process in the background with SIGINT ignored, and so would be the Ctrl-C of the tests.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.fixture
+def mjcf_here(monkeypatch, tmp_path):
+    """MuJoCo's compiler in this process: to start and confine another one takes longer than most tests of its result.
+
+    What it refuses goes to the confined process. That both have the same result: test_robot_errors.py.
+    """
+    from liegroup_core.robots import mjcf
+
+    confined = mjcf.run_apart
+
+    def compiled(tool, path, *rest, **keys):
+        try:
+            from liegroup_core.robots.mjcf_model import arrays_of
+
+            return json.dumps(arrays_of(str(Path(path).resolve())))
+        except Exception:
+            return confined(tool, path, *rest, **keys)
+
+    monkeypatch.setattr(mjcf, "run_apart", compiled)
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes a log into the working folder
 
 
 def pytest_collection_modifyitems(config, items):

@@ -7,6 +7,7 @@ from typing import get_args
 import naive
 import numpy as np
 import yaml
+from scene_files import filled, text_of
 from scipy.integrate import solve_ivp
 from scipy.linalg import null_space
 
@@ -172,6 +173,13 @@ def exact_jacobian(scene):
     return np.concatenate(rows)
 
 
+def one_body(joint=None, forces=(), gravity=(0, 0, 0), assemble=False, **keys):
+    """Scene of a body, `a` of 1 kg and 1 kg m^2 unless `keys` say otherwise, on a joint to the world of these keys."""
+    body = Body(**{"name": "a", "mass": 1.0, "inertia": (1, 1, 1)} | keys)
+    joints = [{"name": "j", "parent": "world", "child": body.name} | joint] if joint else []
+    return Scene(name="one", gravity=gravity, assemble=assemble, bodies=[body], joints=joints, forces=forces)
+
+
 def chain(n, kind="spherical", length=0.1, mass=0.1):
     """Chain of n equal rods along x; axes of revolute joints along y."""
     inertia = (mass * length**2 / 600, mass * length**2 / 12, mass * length**2 / 12)
@@ -182,26 +190,54 @@ def chain(n, kind="spherical", length=0.1, mass=0.1):
     return Scene(name="chain", gravity=(0, 0, -9.81), bodies=bodies, joints=joints)
 
 
+def with_every_group():
+    """Links for `mechanism`: a branched tree with every group of a joint and every lower pair, and a free body."""
+    chain = ("planar", "universal", "cylindrical", "spherical", "screw")
+    links = list(zip(("world", "a", "b", "c", "d"), "abcde", chain))
+    return with_every_pair([*links, ("b", "f", "prismatic"), ("world", "g", None), ("g", "h", "revolute")])
+
+
+def bar(name, start, end, rate=0.0, start_velocity=(0.0, 0.0), mass=1.0):
+    """Bar in the x-y plane from start to end, rotating about z at `rate`; x along the bar."""
+    start, end = np.array(start, dtype=float), np.array(end, dtype=float)
+    along = end - start
+    length, angle = np.linalg.norm(along), np.arctan2(along[1], along[0])
+    velocity = np.append(start_velocity + rate * np.array([-along[1], along[0]]) / 2, 0.0)
+    keys = {"position": (*(start + end) / 2, 0.0), "rotation_vector": (0, 0, angle), "angular_velocity": (0, 0, rate)}
+    keys["linear_velocity"] = SO3.exp([0.0, 0.0, angle]).T @ velocity
+    return Body(name=name, mass=mass, inertia=(mass * 1e-3, *[mass * length**2 / 12] * 2), **keys)
+
+
+def hinge(name, parent, child, offset, kind="revolute"):
+    """Joint of a bar at `offset` from its centre."""
+    return Joint(name=name, type=kind, parent=parent, child=child, child_frame=Frame(position=(offset, 0.0, 0.0)))
+
+
+def parallelogram(angle, rate, kinds=("revolute",) * 4, gravity=(0.0, 0.0, 0.0)):
+    """Crank and rocker of 1 m, coupler and ground of 2 m, moving as a parallelogram."""
+    tip, pin = np.array([np.cos(angle), np.sin(angle)]), np.array([2.0, 0.0])
+    speed = rate * np.array([-tip[1], tip[0]])
+    bodies = [bar("crank", (0, 0), tip, rate), bar("coupler", tip, tip + pin, 0.0, speed)]
+    bodies.append(bar("rocker", pin, tip + pin, rate))
+    ends = ("world", "crank", -0.5), ("crank", "coupler", -1.0), ("coupler", "rocker", 0.5), ("world", "rocker", -0.5)
+    joints = [hinge(name, *end, kind) for name, end, kind in zip("abcd", ends, kinds)]
+    return Scene(name="parallelogram", gravity=gravity, bodies=bodies, joints=joints)
+
+
 def two_links(second_length):
     """Links of 1 m and `second_length` m on spherical joints between ground points 2 m apart."""
     angle = np.arccos((1 + 4 - second_length**2) / 4)
     corner = np.array([np.cos(angle), np.sin(angle), 0.0])
     pin = np.array([2.0, 0.0, 0.0])
     other = np.arctan2(*(corner - pin)[[1, 0]])
-    text = f"""
-name: links
-gravity: [0, 0, -9.81]
-bodies:
-  - {{name: first, mass: 1, inertia: [0.05, 0.1, 0.1], position: {(corner / 2).tolist()},
-     rotation_vector: [0, 0, {float(angle)!r}]}}
-  - {{name: second, mass: 1, inertia: [0.05, 0.1, 0.1], position: {((corner + pin) / 2).tolist()},
-     rotation_vector: [0, 0, {float(other)!r}]}}
-joints:
-  - {{name: left, type: spherical, parent: world, child: first, child_frame: {{position: [-0.5, 0, 0]}}}}
-  - {{name: right, type: spherical, parent: world, child: second,
-     child_frame: {{position: [{-second_length / 2}, 0, 0]}}}}
-  - {{name: middle, type: spherical, parent: first, child: second, parent_frame: {{position: [0.5, 0, 0]}}}}
-"""
+    text = filled(
+        text_of("two_links.yaml"),
+        first=(corner / 2).tolist(),
+        angle=repr(float(angle)),
+        second=((corner + pin) / 2).tolist(),
+        other=repr(float(other)),
+        half=-second_length / 2,
+    )
     return scene_from_text(text)
 
 
@@ -244,20 +280,7 @@ MECHANISMS = {
     ),
 }
 
-FORCES_ON_HINGES = yaml.safe_load("""
-- {name: coil, type: torsional_spring_damper, joint: j0, stiffness: 3, damping: 0.05, rest_angle: 8}
-- {name: inner, type: torsional_spring_damper, joint: j1, stiffness: 2, damping: 0.02, rest_angle: -4}
-- {name: motor, type: motor, joint: j2, torque: 0.7, rate_limit: 9}
-- {name: push, type: motor, joint: j1, torque: -0.3}
-- {name: hold, type: servo, joint: j1, stiffness: 1.5, damping: 0.1, position: 3, velocity: 0.2}
-- {name: air, type: drag, body: b, linear: 0.1, quadratic: 0.02, angular: 0.01, angular_quadratic: 0.003}
-- {name: pull, type: law, inputs: {q: j2.position, w: j0.velocity, z: b.z, v: {quantity: c.vx, point: [0, 0.1, 0]}},
-   parameters: {k: 0.8}, outputs: [{joint: j2, effort: k*sin(2*q) - 0.1*w},
-   {body: b, force: [0.2*v, 0, cos(3*t)*z], axes: world, point: [0, 0.1, 0]}]}
-- {name: wind, type: applied_wrench, body: c, torque: [0.1, 0, 0], force: [1, 0.5, 0], point: [0.1, 0, 0.2],
-   axes: world}
-- {name: jet, type: applied_wrench, body: a, force: [0.4, 0.1, 0], point: [0, 0, 0.3]}
-""")
+FORCES_ON_HINGES = yaml.safe_load(text_of("forces_on_hinges.yaml"))
 
 # Those without a joint that welds bodies together.
 UNWELDED = [name for name, joints in MECHANISMS.items() if not any(kind == "fixed" for _, _, kind in sum(joints, []))]

@@ -4,6 +4,8 @@
 import numpy as np
 from scene_files import filled, text_of
 
+from liegroup_core.joints.kinds import Joint
+
 # Two links on a rotated base, a tool that is fixed to the second one, a slide without mass at its end.
 ARM_URDF = text_of("arm_robot_texts.urdf")
 
@@ -98,6 +100,15 @@ def five_bar_urdf():
             f'<child link="{side}_end"/><origin xyz="1.2 0 0"/></joint>'
         )
     return f'<robot name="five_bar">{"".join(links)}{"".join(joints)}</robot>'
+
+
+# It closes the loop of the five-bar.
+FIVE_BAR_TIP = Joint(name="tip", type="revolute", parent="left_end", child="right_end", parent_frame={}, child_frame={})
+
+
+def freedoms(simulation):
+    """Degrees of freedom at the start."""
+    return 6 * len(simulation.scene.bodies) - simulation.layout.model.row_residual.size
 
 
 def stewart_sdf():

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import yaml
+from scene_files import filled, text_of
 
 from liegroup_core.scene.load import scene_from_text
 
@@ -24,15 +25,7 @@ def slider_crank(angle, rate, friction, upper=None, restitution=0.0):
     rod |= {"position": [CRANK * math.cos(angle), CRANK * math.sin(angle), 0]}
     rod |= {"rotation_vector": [0, 0, tilt]}
     ram = {"name": "ram", "mass": 2.0, "inertia": [0.02] * 3, "position": [end, 0, 0]}
-    joints = yaml.safe_load(f"""
-- {{name: main, type: revolute, parent: world, child: crank, child_frame: {{}}}}
-- {{name: pin, type: revolute, parent: crank, child: rod, parent_frame: {{position: [{CRANK}, 0, 0]}},
-   child_frame: {{}}}}
-- {{name: wrist, type: revolute, parent: rod, child: ram, parent_frame: {{position: [{ROD}, 0, 0]}},
-   child_frame: {{}}}}
-- {{name: slide, type: prismatic, parent: world, child: ram, parent_frame: {{axis: [1, 0, 0]}},
-   child_frame: {{axis: [1, 0, 0]}}}}
-""")
+    joints = yaml.safe_load(filled(text_of("joints_of_a_slider_crank.yaml"), crank=CRANK, rod=ROD))
     for joint in joints:
         if joint["name"] in friction:
             joint["friction"] = {"coulomb": friction[joint["name"]]}

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import yaml
 from naive import displaced
+from scene_files import text_of
 
 from liegroup_core import Simulation
 from liegroup_core.forces import external, gravity, kinds, law
@@ -27,54 +28,7 @@ INDEX = {"a": 0, "b": 1, "c": 2, "world": WORLD}
 ON_JOINTS = {"between": ("a", "b"), "ground": ("world", "c")}
 
 # Of each type one force between bodies, if possible, and one to the world.
-EXAMPLES = yaml.safe_load("""
-spring_damper:
-  - {name: s, parent: a, child: b, parent_point: [0.1, 0.2, 0.3], child_point: [0.4, -0.2, 0.1], stiffness: 50,
-     damping: 3, rest_length: 0.7}
-  - {name: t, parent: world, child: c, parent_point: [0, 0, 1], child_point: [0.4, 0, 0], stiffness: 20}
-torsional_spring_damper:
-  - {name: s, joint: between, stiffness: 4, damping: 0.3, rest_angle: 9}
-  - {name: t, joint: ground, stiffness: 2, damping: 0.1}
-linear_spring_damper:
-  - {name: s, joint: between, stiffness: 40, damping: 3, rest_position: 0.3}
-  - {name: t, joint: ground, stiffness: 20, damping: 1}
-motor:
-  - {name: s, joint: between, torque: -4, rate_limit: 3}
-  - {name: t, joint: ground, torque: 3}
-linear_motor:
-  - {name: s, joint: between, force: -4, speed_limit: 3}
-  - {name: t, joint: ground, force: 3}
-servo:
-  - {name: s, joint: between, stiffness: 4, damping: 0.3, position: 9, velocity: 2}
-  - {name: t, joint: ground, stiffness: 2, damping: 1, position: -3, effort_limit: 0.7}
-linear_servo:
-  - {name: s, joint: between, stiffness: 40, damping: 3, position: 0.3, velocity: -1}
-  - {name: t, joint: ground, stiffness: 20, position: 2, effort_limit: 0.9}
-drag:
-  - {name: s, body: a, linear: 2, quadratic: 3, angular: 0.5, angular_quadratic: 0.7}
-  - {name: t, body: b, quadratic: 1}
-law:
-  - name: s
-    inputs: {q: between.position, w: between.velocity, x: a.x, v: {quantity: b.vy, point: [0.1, 0.2, 0.3]}}
-    parameters: {k: 3, c: 0.7}
-    tables: {cog: {x: [-9, -3, 2, 30], y: [1, -2, 3, 0.5]}}
-    signals: {e: "tanh(q - 9)*k + cog(q)", f: "e*w**2 if w > 0 else sqrt(1 + x**2)*w"}
-    outputs: [{joint: between, effort: "clip(f, -8, 8) - c*v*abs(w) + 3"}]
-  - name: t
-    inputs: {x: a.x, y: {quantity: a.y, point: [0.4, 0, 0.2]}, qx: a.qx, qy: a.qy, qz: a.qz, qw: c.qw, w: c.wz}
-    outputs:
-      - {body: a, force: [2*qx + 1, "exp(-x**2)*qz", y*qw], torque: ["atan2(x, y)", 1, w*qw], point: [0.3, 1, 2],
-         axes: world}
-      - {body: c, force: [w - 1, x*y, 3], torque: [qy*w, qw*qz, "max(x, y, w)"], point: [0.1, 0, -1]}
-contact:
-  - {name: s, body: a, other: b, shape: {type: capsule, radius: 4, length: 0.4, position: [0.1, 0.2, 0.3]},
-     other_shape: {type: sphere, radius: 5}, stiffness: 5, damping: 0.01, friction: 0.4, slip: 0.9, settles: 0.1}
-  - {name: t, body: c, shape: {type: box, size: [1, 2, 3]}, plane: {point: [0, 0, 9], normal: [1, 2, 3]}, stiffness: 2,
-     damping: 0.01, friction: 0.3, slip: 2}
-applied_wrench:
-  - {name: s, body: a, torque: [1, 2, 3], force: [4, 5, -6], point: [1, 0.2, 3]}
-  - {name: t, body: b, torque: [1, 2, 3], force: [4, 5, -6], point: [1, 0.2, 3], axes: world}
-""")
+EXAMPLES = yaml.safe_load(text_of("forces_of_three_bodies.yaml"))
 CLASSES = {cls.model_fields["type"].default: cls for cls in FORCES}
 EXAMPLES = {kind: [CLASSES[kind](**entry) for entry in entries] for kind, entries in EXAMPLES.items()}
 IN_ROWS = [kind for kind in EXAMPLES if kind != "applied_wrench"]

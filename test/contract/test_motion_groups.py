@@ -72,6 +72,12 @@ class Scratch(Struct):
     force: np.ndarray
 
 
+def scratch(count, stage_pose, **sizes):
+    """Scratch of `count` freedoms, with arrays of zeros of these sizes."""
+    sizes |= {"freedoms": (count, 8), "acceleration": (count, 1), "held": count}
+    return Scratch(stage_pose=stage_pose, **{name: np.zeros(size) for name, size in sizes.items()})
+
+
 class Case:
     """A link of a group at a random place, its coordinates and S."""
 
@@ -93,17 +99,8 @@ class Case:
         # A screw is in its second turn.
         self.X = SE3.exp(self.S @ rng.uniform(3.5, 4.0, self.count))
         self.project(self.X, self.coordinates)
-        self.work = Scratch(
-            freedoms=np.zeros((self.count, 8)),
-            acceleration=np.zeros((self.count, 1)),
-            held=np.zeros(self.count),
-            response=np.zeros(self.count),
-            relative=np.zeros((2, 12)),
-            drift=np.zeros((2, 6)),
-            inertia=np.zeros((2, 21)),
-            stage_pose=np.zeros((0, 12)),
-            force=np.zeros((0, 6)),
-        )
+        sizes = {"response": self.count, "relative": (2, 12), "drift": (2, 6), "inertia": (2, 21), "force": (0, 6)}
+        self.work = scratch(self.count, np.zeros((0, 12)), **sizes)
 
     def project(self, X, coordinates):
         self.ask.project_pose(self.link, tuple(X[:3, :3].ravel()), tuple(X[:3, 3]), coordinates, 0)
@@ -386,17 +383,8 @@ class PlaneCase:
         self.coordinates = np.zeros((2, 12))
         rot, p = tuple(self.X[:3, :3].ravel()), tuple(self.X[:3, 3])
         table.plane_project_pose(self.link, rot, p, self.coordinates, 1)
-        self.work = Scratch(
-            freedoms=np.zeros((self.count, 8)),
-            acceleration=np.zeros((self.count, 1)),
-            held=np.zeros(self.count),
-            response=np.zeros(0),
-            relative=np.zeros((0, 12)),
-            drift=np.zeros((0, 2)),
-            inertia=np.zeros((2, 6)),
-            stage_pose=self.coordinates,
-            force=np.zeros((2, 3)),
-        )
+        sizes = {"response": 0, "relative": (0, 12), "drift": (0, 2), "inertia": (2, 6), "force": (2, 3)}
+        self.work = scratch(self.count, self.coordinates, **sizes)
 
     def in_space(self, V):
         return np.eye(6)[:, self.KEPT] @ V

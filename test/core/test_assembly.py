@@ -142,22 +142,9 @@ def test_a_fixed_body_keeps_only_the_values_in_the_scene():
     assert free.bodies[0].position != scene.bodies[0].position
     check_consistency(free)
     [joint] = [joint for joint in load_scene("heavy_top").joints]
-    spun = Scene(
-        name="s",
-        gravity=(0, 0, 0),
-        assemble=True,
-        bodies=[
-            Body(
-                name="top",
-                mass=1,
-                inertia=(1, 1, 1),
-                angular_velocity=(0, 0, 2),
-                linear_velocity=(0, 1, 0),
-                initial="fixed",
-            )
-        ],
-        joints=[joint.remade(parent_frame=Frame(position=(0.1, 0, 0)))],
-    )
+    keys = {"name": "top", "angular_velocity": (0, 0, 2), "linear_velocity": (0, 1, 0), "initial": "fixed"}
+    spun = mechanisms.one_body(None, assemble=True, **keys)
+    spun = spun.remade(joints=[joint.remade(parent_frame=Frame(position=(0.1, 0, 0)))])
     body = assembled(spun).bodies[0]
     np.testing.assert_allclose(body.position, (0.6, 0, 0), atol=1e-16)
     assert (body.angular_velocity, body.linear_velocity) == ((0, 0, 2), (0, 1, 0))
@@ -208,17 +195,12 @@ def test_bodies_without_a_pose_are_placed_by_their_joints():
     # parents that follow their children, and branches
     bodies = [Body(name=name, mass=1, inertia=(1, 1, 1)) for name in "abc"]
     frame, end = Frame(rotation_vector=(0, 0, 0.5)), Frame(position=(1, 0, 0))
-    tree = Scene(
-        name="t",
-        gravity=(0, 0, 0),
-        assemble=True,
-        bodies=bodies,
-        joints=[
-            Joint(name="j", type="revolute", parent="c", child="b", parent_frame=end, child_frame=frame),
-            Joint(name="k", type="revolute", parent="world", child="b", parent_frame=frame, child_frame=frame),
-            Joint(name="l", type="spherical", parent="c", child="a", parent_frame=frame, child_frame=end),
-        ],
-    )
+    joints = [
+        Joint(name="j", type="revolute", parent="c", child="b", parent_frame=end, child_frame=frame),
+        Joint(name="k", type="revolute", parent="world", child="b", parent_frame=frame, child_frame=frame),
+        Joint(name="l", type="spherical", parent="c", child="a", parent_frame=frame, child_frame=end),
+    ]
+    tree = Scene(name="t", gravity=(0, 0, 0), assemble=True, bodies=bodies, joints=joints)
     a, b, c = assembled(tree).bodies
     np.testing.assert_allclose(b.pose, np.eye(4), atol=1e-15)
     np.testing.assert_allclose(c.pose @ end.pose, frame.pose, atol=1e-15)
@@ -278,16 +260,8 @@ def test_the_same_text_assembles_bit_identically_and_is_preserved():
 
 
 def test_a_scene_built_in_code_is_assembled_by_simulation():
-    bodies = [Body(name="a", mass=1, inertia=(1, 1, 1), position=(0.2, 0.1, 0.9))]
-    joint = Joint(
-        name="j",
-        type="spherical",
-        parent="world",
-        child="a",
-        parent_frame=Frame(),
-        child_frame=Frame(position=(0, 0, 1)),
-    )
-    scene = Scene(name="s", gravity=(0, 0, -1), assemble=True, bodies=bodies, joints=[joint])
+    joint = {"type": "spherical", "parent_frame": {}, "child_frame": {"position": (0, 0, 1)}}
+    scene = mechanisms.one_body(joint, (), (0, 0, -1), assemble=True, position=(0.2, 0.1, 0.9))
     simulation = Simulation(scene, method="rkmk4")
     assert simulation.sample().constraint_residual <= 1e-15
     assert simulation.scene is scene and "assemble: true" in scene.text
@@ -300,23 +274,12 @@ def test_a_scene_built_in_code_is_assembled_by_simulation():
 
 def bar_between(distance, **keys):
     """Bar of 1 m, attached by spherical joints to two world points at a distance in m."""
-    return Scene(
-        name="s",
-        gravity=(0, 0, 0),
-        assemble=True,
-        bodies=[Body(name="bar", mass=1, inertia=(0.1, 1, 1), **keys)],
-        joints=[
-            Joint(
-                name=name,
-                type="spherical",
-                parent="world",
-                child="bar",
-                parent_frame=Frame(position=(x, 0, 0)),
-                child_frame=Frame(position=(y, 0, 0)),
-            )
-            for name, x, y in (("left", -distance / 2, -0.5), ("right", distance / 2, 0.5))
-        ],
+    left = {"name": "left", "type": "spherical", "parent_frame": {"position": (-distance / 2, 0, 0)}}
+    scene = mechanisms.one_body(
+        left | {"child_frame": {"position": (-0.5, 0, 0)}}, assemble=True, name="bar", inertia=(0.1, 1, 1), **keys
     )
+    ends = {"parent_frame": {"position": (distance / 2, 0, 0)}, "child_frame": {"position": (0.5, 0, 0)}}
+    return scene.remade(joints=[*scene.joints, scene.joints[0].remade(name="right", **ends)])
 
 
 def test_an_impossible_loop_is_refused_with_joint_and_gap():
@@ -396,13 +359,7 @@ def test_contradictory_rates_are_refused_with_joint_names():
 
 
 def test_a_rate_without_assembly_is_refused():
-    scene = Scene(
-        name="s",
-        gravity=(0, 0, 0),
-        assemble=True,
-        bodies=[Body(name="a", mass=1, inertia=(1, 1, 1))],
-        joints=[Joint(name="j", type="revolute", parent="world", child="a", child_frame=Frame(), rate=1)],
-    )
+    scene = mechanisms.one_body({"type": "revolute", "child_frame": {}, "rate": 1}, assemble=True)
     with pytest.raises(SceneError, match='joints\\[0\\] "j": rate is only used in assembly: omit it'):
         scene.remade(assemble=False)
 

@@ -15,7 +15,6 @@ from scipy.spatial.transform import Rotation
 from liegroup_core.errors import SceneError
 from liegroup_core.scene import (
     Body,
-    DistanceJoint,
     Frame,
     Joint,
     Scene,
@@ -81,21 +80,8 @@ def test_joint_frames_in_the_scene_are_used_unchanged():
 
 def pinned(offset=(0, 0, 0), kind="spherical", at=(0, 0, 0), **frame):
     """Body at `at` with both joint frames given, the child's one shifted by `offset`."""
-    return Scene(
-        name="s",
-        gravity=(0, 0, 0),
-        bodies=[Body(name="b", mass=1, inertia=[1, 1, 1], position=at)],
-        joints=[
-            Joint(
-                name="j",
-                type=kind,
-                parent="world",
-                child="b",
-                parent_frame=Frame(position=at),
-                child_frame=Frame(position=offset, **frame),
-            )
-        ],
-    )
+    frames = {"parent_frame": {"position": at}, "child_frame": {"position": offset} | frame}
+    return mechanisms.one_body({"type": kind} | frames, name="b", position=at)
 
 
 @pytest.mark.parametrize(
@@ -136,21 +122,8 @@ def test_a_pair_may_start_displaced_along_its_free_direction():
 
 def rod(length=None, reach=(3, 0, 4), at=(0, 0, 0)):
     """Body at `at` on a distance joint to the point `at` + `reach`."""
-    return Scene(
-        name="s",
-        gravity=(0, 0, 0),
-        bodies=[Body(name="b", mass=1, inertia=[1, 1, 1], position=at)],
-        joints=[
-            DistanceJoint(
-                name="j",
-                parent="world",
-                child="b",
-                length=length,
-                parent_frame=Frame(position=np.add(at, reach)),
-                child_frame=Frame(),
-            )
-        ],
-    )
+    joint = {"type": "distance", "length": length, "child_frame": {}}
+    return mechanisms.one_body(joint | {"parent_frame": {"position": np.add(at, reach)}}, name="b", position=at)
 
 
 def test_an_omitted_distance_is_the_initial_distance():
@@ -232,27 +205,13 @@ def moving(rng, kind, error=0.0, turn=np.zeros(3)):
         v = v_parent + np.cross(w_parent, q - parent_pose[:3, 3]) + s + np.cross(w, C[:3, 3] - q)
         if child == "b":
             v = v + error * forbidden_direction(kind, at_parent[:3, :3], way)
-        bodies.append(
-            Body(
-                name=child,
-                mass=1,
-                inertia=[1, 1, 1],
-                **keys,
-                angular_velocity=C[:3, :3].T @ w + (turn if child == "b" else 0.0),
-                linear_velocity=C[:3, :3].T @ v,
-            )
-        )
+        keys["angular_velocity"] = C[:3, :3].T @ w + (turn if child == "b" else 0.0)
+        keys["linear_velocity"] = C[:3, :3].T @ v
+        bodies.append(Body(name=child, mass=1, inertia=[1, 1, 1], **keys))
         # both frames are given
-        joints.append(
-            mechanisms.joint(
-                kind,
-                name=f"to_{child}",
-                parent=parent,
-                child=child,
-                parent_frame=described(np.linalg.inv(parent_pose) @ at_parent),
-                child_frame=described(np.linalg.inv(C) @ at_child),
-            )
-        )
+        frames = (np.linalg.inv(parent_pose) @ at_parent, np.linalg.inv(C) @ at_child)
+        ends = dict(zip(("parent_frame", "child_frame"), map(described, frames)))
+        joints.append(mechanisms.joint(kind, name=f"to_{child}", parent=parent, child=child, **ends))
         parent_pose, w_parent, v_parent = C, w, v
     return Scene(name="s", gravity=(0, 0, 0), bodies=bodies, joints=joints)
 

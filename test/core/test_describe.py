@@ -131,13 +131,7 @@ def test_heavy_top():
 
 
 def test_laws_and_contacts_name_what_they_act_on_and_their_numbers():
-    text = """
-{name: s, gravity: [0, 0, 0], bodies: [{name: b, mass: 1, inertia: [1, 1, 1]}], joints: [{name: j, type: revolute,
-parent: world, child: b, child_frame: {}}], forces: [{name: own, type: law, signals: {f: sin(t), g: 2*f}, outputs: [
-{joint: j, effort: f}, {body: b, force: [g, 0, 0]}, {joint: j, effort: 1}]}, {name: plan, type: law, signals: {h: t},
-states: {x: {rate: h}}}, {name: floor, type: contact, body: b, shape: {type: sphere, radius: 1}, stiffness: 8,
-damping: 0.5, friction: 0.2, slip: 0.1, load: 4, plane: {point: [0, 0, -1], normal: [0, 0, 2]}}]}
-"""
+    text = text_of("sized.yaml")
     facts = describe(make_layout(scene_from_text(text)))
     assert facts["forces"][:2] == [
         {"name": "own", "type": "law", "on": ["j", "b"], "signals": ["f", "g"]},

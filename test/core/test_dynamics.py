@@ -40,9 +40,8 @@ def test_accelerations_agree_with_the_dense_saddle_point(name, seed):
     twists = {body.name: body.twist for body in scene.bodies}
 
     def along(t):
-        return naive.residual(
-            scene, frames, {key: naive.displaced(matrix, t * twists[key]) for key, matrix in matrices.items()}
-        )
+        moved = {key: naive.displaced(matrix, t * twists[key]) for key, matrix in matrices.items()}
+        return naive.residual(scene, frames, moved)
 
     h = 1e-3
     rate = (-along(2 * h) + 16 * along(h) - 30 * along(0) + 16 * along(-h) - along(-2 * h)) / (12 * h * h)
@@ -70,16 +69,9 @@ def test_accelerations_of_slender_rods_keep_their_digits(radius, turn, tree):
         Body(name=f"r{i}", shape=Rod(axis=(1, 0, 0), length=1.0, radius=radius, mass=1.0), position=(i + 0.5, 0.0, 0.0))
         for i in range(4)
     ]
-    joints = [
-        Joint(
-            name=f"j{i}",
-            type="revolute",
-            parent=f"r{i - 1}" if i else "world",
-            child=f"r{i}",
-            child_frame=Frame(position=(-0.5, 0, 0), rotation_vector=turn),
-        )
-        for i in range(4)
-    ]
+    at = Frame(position=(-0.5, 0, 0), rotation_vector=turn)
+    ends = zip(["world", "r0", "r1", "r2"], ["r0", "r1", "r2", "r3"])
+    joints = [Joint(name=f"j{b}", type="revolute", parent=a, child=b, child_frame=at) for a, b in ends]
     scene = Scene(name="rods", gravity=(0.1, 0.3, -9.81), bodies=bodies, joints=joints)
     J, right = engine.rows(Engine(scene, quiet=True, group="se3"))
     kept = J.any(axis=1)
@@ -90,17 +82,9 @@ def test_accelerations_of_slender_rods_keep_their_digits(radius, turn, tree):
 
 def test_accelerations_do_not_depend_on_parent_and_child_order():
     scene = mechanisms.named("net")
+    swapped = {"parent": "child", "child": "parent", "parent_frame": "child_frame", "child_frame": "parent_frame"}
     turned = [
-        joint.model_copy(
-            update={
-                "parent": joint.child,
-                "child": joint.parent,
-                "parent_frame": joint.child_frame,
-                "child_frame": joint.parent_frame,
-            }
-        )
-        if joint.parent != "world"
-        else joint
+        joint.model_copy(update={to: getattr(joint, of) for to, of in swapped.items() if joint.parent != "world"})
         for joint in scene.joints
     ]
     found = accelerations(scene)

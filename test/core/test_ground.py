@@ -9,7 +9,7 @@ import pytest
 import scipy
 from numpy.testing import assert_allclose
 from robot_texts import written
-from scene_files import text_of
+from scene_files import cases, text_of
 
 from liegroup_core import SceneError, Simulation, load_scene
 from liegroup_core.robots.ground import Ground
@@ -17,6 +17,7 @@ from liegroup_core.robots.options import Options
 from liegroup_core.robots.starts import Start
 from liegroup_core.scene.load import scene_from_robot
 
+pytestmark = pytest.mark.usefixtures("mjcf_here")
 FILES = {kind: text_of(f"legs.{kind}") for kind in ("urdf", "sdf", "xml")}
 
 
@@ -109,16 +110,7 @@ def test_a_box_with_legs_is_dropped_and_stands(tmp_path):
     assert sample.pose[0, 11] == pytest.approx(0.35 - 5e-4, abs=1e-6)
 
 
-@pytest.mark.parametrize(
-    "ground, text",
-    [
-        ("{sinks: 0}", "drop.yaml:3: ground.sinks must be greater than 0, got 0"),
-        ("{restitution: 1.5}", "drop.yaml:3: ground.restitution must be from 0.01 to 1, got 1.5"),
-        ("{frction: 1}", "drop.yaml:3: ground: unknown key 'frction'; did you mean \"friction\"?"),
-        ("", "drop.yaml:3: ground must be a mapping, such as {} or {height: 0.1}"),
-        ("{links: [paw]}", "drop.yaml:3: ground: moving link with a collision shape 'paw' is not in the robot"),
-    ],
-)
+@pytest.mark.parametrize("ground, text", cases("wrong_grounds_are_refused_in_one_line"))
 def test_wrong_grounds_are_refused_in_one_line(ground, text, tmp_path):
     written(tmp_path / "legs.urdf", FILES["urdf"])
     with pytest.raises(SceneError) as refused:

@@ -3,7 +3,7 @@
 
 import numpy as np
 import pytest
-from scene_files import text_of
+from scene_files import cases, text_of
 
 from liegroup_core import Simulation, load_scene
 from liegroup_core.scene.load import scene_from_text
@@ -15,17 +15,7 @@ RAIL = text_of("rail_joint_efforts.yaml")
 FLOATING = text_of("floating.yaml")
 # A nut that was turned by 1.3 rad and three turns from where its thread begins.
 NUT = text_of("nut.yaml")
-ONE_OF_EACH = [
-    ("rkmk4", "relative"),
-    ("rkmk4", "se3"),
-    ("rkmk8", "so3xr3"),
-    ("rkmk54", "relative"),
-    ("generalized_alpha", "relative"),
-    ("generalized_alpha", "se3"),
-    ("generalized_alpha", "so3xr3"),
-    ("constrained_rattle", "relative"),
-    ("constrained_rattle", "so3xr3"),
-]
+ONE_OF_EACH = cases("joint_efforts_one_of_each")
 IN_SPACE = [("rkmk4", "space"), ("constrained_rattle", "space"), ("generalized_alpha", "space")]
 
 

@@ -9,7 +9,7 @@ import mpmath
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scene_files import text_of
+from scene_files import cases, text_of
 from scipy.integrate import solve_ivp
 from volume import some
 
@@ -542,45 +542,14 @@ def test_laws_read_signals_of_earlier_laws_and_samples_show_them():
         pendulum(own, filter_)
 
 
-@pytest.mark.parametrize(
-    "change, reason",
-    [
-        ({"inputs": {"q": "hinge.angle", "w": "hinge.velocity"}}, "'hinge.angle' is no quantity of a law"),
-        ({"inputs": {"q": "bob.x", "w": {"quantity": "bob.qx", "point": [1, 0, 0]}}}, "has no point"),
-        ({"inputs": {"t": "hinge.position"}}, "the name t is taken"),
-        ({"parameters": {"q": 1.0}}, "q is also one of its inputs"),
-        ({"parameters": {"if": 1.0}}, "the name if is taken"),
-        ({"outputs": [{"joint": "hinge", "torque": [0, 0, 1]}]}, "give either joint and effort"),
-        ({"outputs": [{"joint": "hinge"}]}, "effort is missing"),
-        ({"outputs": [{"joint": "nut", "effort": 1}]}, "'nut' is not a joint with one coordinate"),
-        ({"outputs": [{"body": "bib", "force": [1, 0, 0]}]}, "choose one of: bob"),
-        ({"outputs": [{"body": "bob", "force": ["max(1", "q)", 0]}]}, "is no formula"),
-        ({"outputs": [{"body": "bob", "force": [1, 0, 0, 0]}]}, "quote a formula that has a comma"),
-        ({"outputs": []}, "outputs is missing"),
-        ({"tables": {"mu": {"x": [0, 0], "y": [1, 1]}}}, "numbers that increase"),
-        ({"tables": {"mu": {"x": [0, 1], "y": [1]}}}, "as many values as x"),
-        ({"signals": {"e": "later"}, "outputs": []}, "unknown name 'later'"),
-        ({"states": {"x": {"rate": "y"}}}, "states.x.rate: unknown name 'y'"),
-        ({"states": {"x": {"start": 1}}}, "rate is missing"),
-        ({"states": {"q": {"rate": "1"}}}, "q is also one of its inputs"),
-        ({"signals": ["e = q"]}, "signals must be a mapping {name: value}, got ['e = q']"),
-        ({"parameters": {"k-p": 1.0}}, "parameters: a key must be a name: a letter, then letters, digits or _"),
-    ],
-)
+@pytest.mark.parametrize("change, reason", cases("a_wrong_law_is_refused_in_one_line"))
 def test_a_wrong_law_is_refused_in_one_line(change, reason):
     with pytest.raises(SceneError) as refused:
         pendulum(at_hinge("q*w") | change)
     assert reason in str(refused.value) and "\n" not in str(refused.value)
 
 
-@pytest.mark.parametrize(
-    "signals, reason",
-    [
-        ("{e: clip(1, -1, 2)}", "a key must be text, got -1"),
-        ("{e: max(1, t)}", "signals.e: 'max(1' is no formula: '(' was never closed"),
-        ("{e: 1}, outputs: [{joint: hinge, effort: max(1, t)}]", "outputs[0]: unknown key 't)'"),
-    ],
-)
+@pytest.mark.parametrize("signals, reason", cases("a_comma_without_quotes_is_named"))
 def test_a_comma_without_quotes_is_named(signals, reason):
     """YAML takes it as the end of the formula."""
     with pytest.raises(SceneError) as refused:
@@ -591,18 +560,7 @@ def test_a_comma_without_quotes_is_named(signals, reason):
 
 def test_lqr_from_linearise_holds_a_cart_pole():
     """The gains that linearise and SciPy give, pasted into a law, bring the closed loop where they should."""
-    text = """
-name: cart_pole
-gravity: [0, 0, -9.81]
-bodies:
-- {name: cart, mass: 1, inertia: [0.1, 0.1, 0.1]}
-- {name: pole, mass: 0.2, inertia: [0.02, 0.02, 0.001], com: [0, 0, 0.5]}
-joints:
-- {name: rail, type: prismatic, parent: world, child: cart, parent_frame: {axis: [1, 0, 0]},
-   child_frame: {axis: [1, 0, 0]}}
-- {name: hinge, type: revolute, parent: cart, child: pole, parent_frame: {axis: [0, 1, 0]},
-   child_frame: {axis: [0, 1, 0]}}
-"""
+    text = text_of("cart_pole.yaml")
     scene = scene_from_text(text, "test")
     # Rail and hinge: M(q) of the cart pole at the upright pose.
     mass = np.array([[1.2, 0.1], [0.1, 0.02 + 0.2 * 0.25]])

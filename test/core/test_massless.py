@@ -10,6 +10,7 @@ import warnings
 import numpy as np
 import pytest
 from convergence import order_by_count
+from scene_files import cases
 from scipy.integrate import solve_ivp
 from scipy.special import ellipk
 
@@ -197,74 +198,33 @@ def test_least_kinetic_energy_of_assembly_is_the_limit():
     np.testing.assert_allclose([p, q, v], [-8 / 33, -5 / 11, 8 / 33], rtol=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("bodies", "joints", "text"),
-    [
-        (
-            BOB,
-            [joint("spherical", "bob", ABOVE)],
-            f'joints[0] "j": it lets "bob" rotate about its axis (0, 0, 1), {REMEDY}, such as a universal joint',
-        ),
-        (BOB, [joint("spherical", "bob", CENTRE)], f'joints[0] "j": it lets "bob" rotate about any axis, {REMEDY}'),
-        (
-            BOB,
-            [joint("universal", "bob", CENTRE)],
-            'joints[0] "j": it lets "bob" rotate about its axes (1, 0, 0) and (0, 1, 0), ' + REMEDY,
-        ),
-        (
-            BOB,
-            [joint("planar", "bob", ABOVE)],
-            'joints[0] "j": it lets "bob" rotate about its axis (0, 0, 1), ' + REMEDY,
-        ),
-        (
-            BOB,
-            [],
-            'bodies[0] "bob": it is free to rotate about any axis, where it has no inertia: give it '
-            "inertia there, or hold it by a joint that prevents this rotation",
-        ),
-        (
-            BOB,
-            [joint("distance", "bob", "parent_frame: {}, child_frame: {}, length: 1")],
-            'bodies[0] "bob": it is free to rotate about any axis',
-        ),
-        (
-            ROD,
-            [joint("spherical", "rod", END)],
-            'joints[0] "j": it lets "rod" rotate about its axis (0, 0, 1), ' + REMEDY,
-        ),
-        (
-            ROD,
-            [joint("revolute", "rod", END)],
-            'joints[0] "j": it lets "rod" rotate about its axis (0, 0, 1), ' + REMEDY,
-        ),
-        (ROD, [], 'bodies[0] "rod": it is free to rotate about its axis (0, 0, 1), where'),
-        (
-            ROD + BOB,
-            [joint("fixed", "bob", "parent_frame: {}", parent="rod")],
-            'bodies[1] "bob": it is free to rotate about its axis (0, 0, 1), where',
-        ),
-        # A rod between two balls of a loop: the second ball is cut.
-        (
-            ROD,
-            [
-                joint("spherical", "rod", END),
-                joint(
-                    "spherical",
-                    "rod",
-                    "parent_frame: {position: [0, 0, -1]}, child_frame: {position: [0, 0, -0.5]}",
-                    "k",
-                ),
-            ],
-            'joints[0] "j": it lets "rod" rotate about its axis (0, 0, 1), ' + REMEDY,
-        ),
-        (
-            "  - {name: rod, mass: 1, inertia: [0, 0.1, 0.1], position: [-0.5, 0, 0]}\n",
-            [joint("universal", "rod", "parent_frame: {}, child_frame: {position: [0.5, 0, 0]}")],
-            'joints[0] "j": it lets "rod" rotate about its axis (1, 0, 0) in its initial pose, ' + REMEDY,
-        ),
-    ],
-)
+ABOUT_Z = f'joints[0] "j": it lets "rod" rotate about its axis (0, 0, 1), {REMEDY}'
+ALONG_X = "  - {name: rod, mass: 1, inertia: [0, 0.1, 0.1], position: [-0.5, 0, 0]}\n"
+TIP = "parent_frame: {position: [0, 0, -1]}, child_frame: {position: [0, 0, -0.5]}"
+
+
+@pytest.mark.parametrize(("bodies", "joints", "text"), [
+    (BOB, [("spherical", "bob", ABOVE)], ABOUT_Z.replace("rod", "bob") + ", such as a universal joint"),
+    (BOB, [("spherical", "bob", CENTRE)], f'joints[0] "j": it lets "bob" rotate about any axis, {REMEDY}'),
+    (BOB, [("universal", "bob", CENTRE)],
+     f'joints[0] "j": it lets "bob" rotate about its axes (1, 0, 0) and (0, 1, 0), {REMEDY}'),
+    (BOB, [("planar", "bob", ABOVE)], ABOUT_Z.replace("rod", "bob")),
+    (BOB, [], 'bodies[0] "bob": it is free to rotate about any axis, where it has no inertia: give it inertia there, '
+     "or hold it by a joint that prevents this rotation"),
+    (BOB, [("distance", "bob", "parent_frame: {}, child_frame: {}, length: 1")],
+     'bodies[0] "bob": it is free to rotate about any axis'),
+    (ROD, [("spherical", "rod", END)], ABOUT_Z),
+    (ROD, [("revolute", "rod", END)], ABOUT_Z),
+    (ROD, [], 'bodies[0] "rod": it is free to rotate about its axis (0, 0, 1), where'),
+    (ROD + BOB, [("fixed", "bob", "parent_frame: {}", "j", "rod")],
+     'bodies[1] "bob": it is free to rotate about its axis (0, 0, 1), where'),
+    # A rod between two balls of a loop: the second ball is cut.
+    (ROD, [("spherical", "rod", END), ("spherical", "rod", TIP, "k")], ABOUT_Z),
+    (ALONG_X, [("universal", "rod", "parent_frame: {}, child_frame: {position: [0.5, 0, 0]}")],
+     f'joints[0] "j": it lets "rod" rotate about its axis (1, 0, 0) in its initial pose, {REMEDY}'),
+])  # fmt: skip
 def test_a_rotation_without_inertia_is_refused_in_one_line(bodies, joints, text):
+    joints = [joint(*each) for each in joints]
     with pytest.raises(SceneError) as caught:
         make_layout(scene(bodies, *joints))
     message = str(caught.value)
@@ -276,38 +236,19 @@ def test_a_rotation_without_inertia_is_refused_in_one_line(bodies, joints, text)
     assert f"name: {name}," in lines[int(line) - 1] and place[0] == message.split(": ")[1][:6]
 
 
-@pytest.mark.parametrize(
-    ("bodies", "joints"),
-    [
-        (BOB, [joint("revolute", "bob", HINGE)]),
-        (BOB, [joint("universal", "bob", ABOVE)]),
-        (BOB, [joint("prismatic", "bob", ABOVE)]),
-        (ROD, [joint("universal", "rod", END)]),
-        (ROD, [joint("fixed", "rod", END)]),
-        # Small numbers that are physical: an arm of 1 um on a joint, a light thick body, a hinge 1 um
-        # beside the rod's axis.
-        (BOB, [joint("revolute", "bob", HINGE.replace("[0, 0, 1]", "[0, 0, 1e-6]"))]),
-        (
-            "  - {name: bob, mass: 1e-9, inertia: [1e-30, 1e-30, 1e-30], position: [0, 0, -1]}\n",
-            [joint("spherical", "bob", ABOVE)],
-        ),
-        (ROD, [joint("revolute", "rod", END.replace("[0, 0, 0.5]", "[1e-6, 0, 0.5]"))]),
-    ],
-)
-def test_a_freedom_with_some_inertia_is_accepted(bodies, joints):
-    make_layout(scene(bodies, *joints, extra="assemble: true\n"))
+@pytest.mark.parametrize(("bodies", "kind", "child", "frames"), [
+    (BOB, "revolute", "bob", HINGE), (BOB, "universal", "bob", ABOVE), (BOB, "prismatic", "bob", ABOVE),
+    (ROD, "universal", "rod", END), (ROD, "fixed", "rod", END),
+    # Small numbers that are physical: an arm of 1 um, a light thick body, a hinge 1 um beside the rod's axis.
+    (BOB, "revolute", "bob", HINGE.replace("[0, 0, 1]", "[0, 0, 1e-6]")),
+    (BOB.replace("2", "1e-9").replace("[0, 0, 0]", "[1e-30, 1e-30, 1e-30]"), "spherical", "bob", ABOVE),
+    (ROD, "revolute", "rod", END.replace("[0, 0, 0.5]", "[1e-6, 0, 0.5]")),
+])  # fmt: skip
+def test_a_freedom_with_some_inertia_is_accepted(bodies, kind, child, frames):
+    make_layout(scene(bodies, joint(kind, child, frames), extra="assemble: true\n"))
 
 
-@pytest.mark.parametrize(
-    "settings",
-    [
-        {"method": "rkmk4", "group": "se3"},
-        {"method": "rkmk4", "group": "so3xr3"},
-        {"method": "generalized_alpha", "group": "se3"},
-        {"method": "constrained_rattle", "group": "so3xr3"},
-        {"method": "lie_midpoint"},
-    ],
-)
+@pytest.mark.parametrize("settings", cases("methods_that_need_inertia_refuse_in_one_line"))
 def test_methods_that_need_inertia_refuse_in_one_line(settings):
     with pytest.raises(ValueError) as caught:
         Simulation(pendulum(), **settings)

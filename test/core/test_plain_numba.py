@@ -8,6 +8,7 @@ import subprocess
 import sys
 
 import pytest
+from scene_files import cases
 
 from liegroup_core.compiling import compiled
 
@@ -26,14 +27,7 @@ json.dump([backend.chosen().name, results], sys.stdout)
 """
 # Plain Numba needs one to four minutes to compile a family. Scenes of one family share a process, which compiles its
 # kernels once.
-CASES = [
-    (["lagrangian_top"], "stoermer_verlet"),
-    (["ball_chain"], "rkmk4"),
-    (["four_bar"], "rkmk54"),
-    (["double_pendulum"], "generalized_alpha"),
-    (["heavy_top"], "generalized_alpha"),
-    (["double_pendulum"], "constrained_rattle"),
-]
+CASES = cases("plain_numba_cases")
 
 
 def run(code, *arguments, **environment):

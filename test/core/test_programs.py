@@ -7,6 +7,7 @@ import zlib
 
 import numpy as np
 import pytest
+from scene_files import text_of
 from volume import some
 
 from liegroup_core import Simulation, SimulationError, load_scene
@@ -19,32 +20,7 @@ SCENES = (
     *("stick_slip", "cable", "gripper", "door", "controlled", "kinked", "sampled", "touching"),
 )
 # A law with states, kinks and the time, on a mechanism with a stop.
-CONTROLLED = """
-name: controlled
-gravity: [0,0,-9.81]
-bodies:
-- {name: bob, mass: 0.8, inertia: [0.1, 0.05, 0.1], com: [0, 0, -0.5], rotation_vector: [0, 0.7, 0]}
-- {name: tip, mass: 0.3, inertia: [0.02, 0.02, 0.02], position: [-0.6, 0, -0.7]}
-assemble: true
-joints:
-- {name: hinge, type: revolute, parent: world, child: bob, parent_frame: {axis: [0, 1, 0]},
-   child_frame: {axis: [0, 1, 0]},
-   limits: {lower: -0.3, upper: 0.95, restitution: 0.5}}
-- {name: elbow, type: spherical, parent: bob, child: tip,
-   parent_frame: {position: [0, 0, -1]}, child_frame: {position: [0, 0, 0.3]}}
-forces:
-- name: pid
-  type: law
-  inputs: {q: hinge.position, w: hinge.velocity, x: tip.x}
-  parameters: {kp: 6, ki: 4, kd: 0.4}
-  states:
-    i: {rate: "e if abs(u) < 3 or e*u < 0 else 0"}
-    a: {start: 0.2, rate: "(clip(u, -3, 3) - a)/0.05"}
-  signals: {e: 0.5*sin(20*t) - q, u: kp*e + ki*i - kd*w}
-  outputs: [{joint: hinge, effort: a},
-            {body: tip, force: [-x, 0.1*sin(30*t), i], axes: world}]
-- {name: hold, type: servo, joint: hinge, stiffness: 2, damping: 0.1}
-"""
+CONTROLLED = text_of("controlled.yaml")
 # The same without the stop, with friction that holds the hinge at times, a step and a pulse.
 KINKED = CONTROLLED.replace(",\n   limits: {lower: -0.3, upper: 0.95, restitution: 0.5}", "").replace(
     "effort: a}",
@@ -58,41 +34,10 @@ forces:"""
 SAMPLED = (
     CONTROLLED.replace("name: controlled", "name: sampled")
     .replace("forces:", SENSORS)
-    .replace(
-        "- {name: hold",
-        """- name: slow
-  type: law
-  period: 0.0123
-  delay: 0.03
-  inputs: {q: hinge.position, w: hinge.velocity, u: pid.u}
-  states: {n: {update: n + 1}, last: {start: 0.1, update: q}}
-  signals: {rate: (q - last)/0.0123, lead: "q + 0.1*w if n < 7 else u"}
-  outputs: [{joint: hinge, effort: -3*lead - 0.2*rate}, {body: tip, force: [0, 0, n], point: [0.1, 0, 0]}]
-- name: fast
-  type: law
-  period: 0.004
-  inputs: {lead: slow.lead, x: tip.x, e: pid.e, y: tracker.y}
-  signals: {u: lead - x - e + y}
-  outputs: [{body: tip, force: [u, 0, 0]}]
-- name: between
-  type: law
-  inputs: {u: fast.u, w: hinge.velocity}
-  outputs: [{joint: hinge, effort: 0.3*u - 0.05*w}]
-- {name: hold""",
-    )
+    .replace("- {name: hold", text_of("sampled_law.yaml"))
 )
 # Contacts: a ball that slides on a plane and meets another one.
-TOUCHING = """
-name: touching
-gravity: [0, 0, -9.81]
-bodies:
-- {name: ball, shape: {type: sphere, radius: 0.1, mass: 1}, position: [0, 0, 0.105], linear_velocity: [1, 0, 0]}
-- {name: other, shape: {type: sphere, radius: 0.1, mass: 2}, position: [0.25, 0.05, 0.0999]}
-forces:
-- {name: floor, type: contact, body: ball, sinks: 1e-4, restitution: 0.5, friction: 0.3}
-- {name: ground, type: contact, body: other, sinks: 1e-4, restitution: 0.5, friction: 0.3}
-- {name: hit, type: contact, body: ball, other: other, sinks: 1e-4, restitution: 0.5, friction: 0.3}
-"""
+TOUCHING = text_of("touching.yaml")
 OWN = {"touching": TOUCHING, "controlled": CONTROLLED, "kinked": KINKED, "sampled": SAMPLED}
 ACCURACIES = ({"accuracy": 1e-5}, {"accuracy": 1e-3, "horizon": 5.0, "step": 0.1}, {"accuracy": 1e-9, "step": 2e-3})
 SECONDS, COMMANDS = 0.25, 10
@@ -219,6 +164,7 @@ def scene_of(name):
 
 
 @pytest.mark.parametrize("part", range(4))
+@pytest.mark.volume(2)
 def test_programs_have_one_effect_whatever_is_read(part):
     """Bit-identical, snapshots too; if one cannot go on, the other cannot."""
     every = cases()

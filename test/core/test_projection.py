@@ -7,6 +7,7 @@ import naive
 import numpy as np
 import pytest
 from convergence import order_of
+from scene_files import cases
 
 from liegroup_core import Simulation, SimulationError
 from liegroup_core.joints import LOWER_PAIRS
@@ -142,6 +143,7 @@ def test_projection_leaves_ground_joints_on_se3_unchanged(kind):
 
 @pytest.mark.parametrize("name", ["chain of hinges", "every kind", "net", "floating"])
 @pytest.mark.parametrize("group", ["se3", "so3xr3"])
+@pytest.mark.volume(3)
 def test_projection_keeps_order_four_and_satisfies_joints(name, group):
     """Order 4 against a run without projection whose step is so small that drift is negligible."""
     scene = mechanisms.named(name)
@@ -219,16 +221,7 @@ def test_baumgarte_bounds_the_drift_of_a_long_run():
 # ---------------------------------------------------------------- settings
 
 
-@pytest.mark.parametrize(
-    "setting, text",
-    [
-        ({"stabilisation": "gear"}, "unknown stabilisation 'gear'; choose one of: none, projection, baum"),
-        ({"baumgarte_time": 0.1}, "requires stabilisation 'baumgarte', got 'none'"),
-        ({"stabilisation": "baumgarte", "baumgarte_time": 0.0}, r"at least one step \(0.001 s\), got 0"),
-        ({"stabilisation": "baumgarte", "baumgarte_time": float("nan")}, "at least one step"),
-        ({"stabilisation": ""}, "unknown stabilisation ''; choose one of: none"),
-    ],
-)
+@pytest.mark.parametrize("setting, text", cases("wrong_stabilisation_options_are_refused_with_a_remedy"))
 def test_wrong_stabilisation_options_are_refused_with_a_remedy(setting, text):
     with pytest.raises(ValueError, match=text):
         Simulation(mechanisms.named("ball"), "rkmk4", **setting)

@@ -6,6 +6,7 @@ import copy
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scene_files import text_of
 
 from liegroup_core import Simulation, load_scene
 from liegroup_core.linear import linearise
@@ -13,12 +14,7 @@ from liegroup_core.methods.families import fitting_methods
 from liegroup_core.reference import PullSpan, integrate
 from liegroup_core.scene.load import scene_from_text
 
-BODY = """
-name: body
-gravity: [0, 0, -9.81]
-bodies:
-- {name: a, mass: 0.8, inertia: [0.1, 0.05, 0.1], com: [0, 0.1, -0.5], linear_velocity: [0.3, 0, 0]}
-"""
+BODY = text_of("pulled.yaml")
 POINT, TO = [0.2, 0.1, 0.3], [0.5, -0.2, 1.0]
 
 

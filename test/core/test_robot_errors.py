@@ -12,12 +12,20 @@ import numpy as np
 import pytest
 import yaml
 from robot_damage import mutated
-from robot_texts import ARM_MJCF, ARM_SDF, ARM_URDF, MJCF_WITH_ALL_JOINTS, five_bar_urdf, mimic_urdf, written
-from scene_files import filled, text_of
+from robot_texts import (
+    ARM_MJCF,
+    ARM_SDF,
+    ARM_URDF,
+    FIVE_BAR_TIP,
+    MJCF_WITH_ALL_JOINTS,
+    five_bar_urdf,
+    mimic_urdf,
+    written,
+)
+from scene_files import cases, filled, text_of
 from volume import VERIFY, some
 
 from liegroup_core import SceneError, Simulation, load_scene
-from liegroup_core.joints.kinds import Joint
 from liegroup_core.layout import make_layout
 from liegroup_core.robots import apart
 from liegroup_core.robots.access import served_from
@@ -83,13 +91,6 @@ def test_what_looks_wrong_is_noted(file, row, tmp_path):
     scene = load_scene(changed(tmp_path, file, row))
     found = [note for note in scene.notes if row["note"] in note]
     assert [note in scene.differences for note in found] == ([] if row["motion"] is None else [row["motion"]])
-
-
-def urdf(tmp_path, old, new):
-    """Path of the arm's URDF with one change."""
-    assert ARM_URDF.count(old) >= 1
-    path = written(tmp_path / "arm.urdf", ARM_URDF.replace(old, new, 1))
-    return path
 
 
 @pytest.mark.parametrize(
@@ -209,7 +210,7 @@ def test_arguments_of_xacro(tmp_path):
         scene_from_robot(path, Options(xacro={"lenght": "3"}))
     beside.write_text("robot: two.urdf.xacro\nxacro: {m: [1]}\n")
     assert refusal(beside).startswith(f"{beside}:2: xacro must have one text, number")
-    plain = urdf(tmp_path, "arm", "arm")
+    plain = written(tmp_path / "arm.urdf", ARM_URDF)
     with pytest.raises(SceneError, match="is not a xacro file and takes no arguments: omit m"):
         scene_from_robot(plain, Options(xacro={"m": "1"}))
 
@@ -309,6 +310,17 @@ def test_a_tool_that_prints_too_much_is_refused(tmp_path, monkeypatch):
         load_scene(path)
 
 
+@pytest.mark.parametrize("name", ["all.xml", "arm.xml"])
+def test_mjcf_compiles_to_the_same_in_a_process_of_its_own(name, tmp_path, request):
+    """Other tests compile it in theirs, see mjcf_here of conftest.py."""
+    files(tmp_path)
+    apart_from_here = load_scene(tmp_path / name)
+    request.getfixturevalue("mjcf_here")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(apart, "SECONDS", 0.0)  # no other process ends in time
+        assert repr(load_scene(tmp_path / name).model_dump()) == repr(apart_from_here.model_dump())
+
+
 def test_a_package_that_is_not_there():
     with pytest.raises(SceneError, match="the package 'nowhere' is not found"):
         load_scene("package://nowhere/a.urdf")
@@ -363,12 +375,7 @@ def test_a_spring_between_a_link_and_one_that_stays(tmp_path):
     assert found[0] == found[1] and found[0].parent == "world"
 
 
-BARE = """<robot name="r"><link name="base"><inertial><mass value="9"/></inertial></link>
-<link name="a"><inertial><mass value="2"/><inertia ixx="0.1" iyy="0.2" izz="0.25"/></inertial></link>
-<link name="load">
-<inertial><origin xyz="0 0.3 0.1" rpy="0.4 0 0"/><mass value="0.5"/></inertial></link>
-<joint name="j" type="continuous"><parent link="base"/><child link="a"/></joint>
-<joint name="k" type="{}"><parent link="a"/><child link="load"/><origin xyz="0.2 0 0"/></joint></robot>"""
+BARE = text_of("bare.urdf")
 
 
 def test_links_without_inertia_are_fixed_to_the_world_or_merged(tmp_path):
@@ -408,22 +415,7 @@ def test_a_limit_that_looks_like_degrees_is_one_of_the_file(kind, limit, notes, 
     assert len(found) == len(notes) and all(map(str.startswith, found, notes))
 
 
-@pytest.mark.parametrize(
-    "geometry, color, notes",
-    [
-        ('<box size="1 2 3"/>', "0 0.5 1 1", []),
-        ('<box size="1 1 -1"/>', "0 0 1 1", ["visuals with a size that has no volume: box 1 1 -1 of a"]),
-        ('<sphere radius="0"/>', "0 0 1 1", ["visuals with a size that has no volume: sphere 0 of a"]),
-        (
-            '<mesh filename="m.stl" scale="1 0 1"/>',
-            "0 0 1 1",
-            ["visuals with a size that has no volume: mesh 1 0 1 of a"],
-        ),
-        ('<mesh filename="m.stl" scale="1 -1 1"/>', "0 0 1 1", []),  # mirrored
-        ('<box size="1 2 3"/>', "255 0 0 1", ["colours clipped to the range from 0 to 1: 255 0 0 1 of a"]),
-        ('<box size="1 2 3"/>', "0 0 1 -2", ["colours clipped to the range from 0 to 1: 0 0 1 -2 of a"]),
-    ],
-)
+@pytest.mark.parametrize("geometry, color, notes", cases("visuals_that_look_wrong_are_noted"))
 def test_visuals_that_look_wrong_are_noted(geometry, color, notes, tmp_path):
     inertial = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial>'
     visual = f'<visual><geometry>{geometry}</geometry><material name="m"><color rgba="{color}"/></material></visual>'
@@ -520,16 +512,11 @@ def test_an_srdf_file_needs_a_pose(tmp_path):
 
 
 def test_names_that_yaml_takes_for_values(tmp_path):
-    path = urdf(tmp_path, '<robot name="arm"', '<robot name="true"')
-    assert load_scene(path).name == "true"
+    text = ARM_URDF.replace('<robot name="arm"', '<robot name="true"')
+    assert load_scene(written(tmp_path / "arm.urdf", text)).name == "true"
 
 
-LOOP = """robot: five_bar.urdf
-gravity: [0, -9.81, 0]
-start: {}
-joints:
-  - {{name: tip, type: revolute, parent: left_end, child: right_end, parent_frame: {{}}, child_frame: {{}}}}
-"""
+LOOP = text_of("five_bar_robot.yaml")
 
 
 @pytest.mark.parametrize("start", [{"left_crank": 0.2}, {"left_crank": -0.1, "right_elbow": 0.05}])
@@ -558,22 +545,7 @@ def test_start_values_that_a_loop_cannot_keep_are_refused_with_the_nearest(tmp_p
     path.write_text(LOOP.format(str({name: float(nearest[name]) for name in names}).replace("'", "")))
     load_scene(path)
     with pytest.raises(SceneError, match=r"five_bar.urdf: --start \"left_"):
-        scene_from_robot(
-            tmp_path / "five_bar.urdf",
-            Options(
-                start=start,
-                joints=[
-                    Joint(
-                        name="tip",
-                        type="revolute",
-                        parent="left_end",
-                        child="right_end",
-                        parent_frame={},
-                        child_frame={},
-                    )
-                ],
-            ),
-        )
+        scene_from_robot(tmp_path / "five_bar.urdf", Options(start=start, joints=[FIVE_BAR_TIP]))
 
 
 @pytest.mark.parametrize("digits, moved", [(15, False), (4, True), (1, None)])
@@ -613,14 +585,7 @@ def test_a_loop_that_cannot_close_names_the_closing_joint(tmp_path):
     )
     text = refusal(tmp_path / "loop.yaml")
     assert f'{tmp_path / "loop.yaml"}:5: joints[0] "tip": cannot be assembled' in text
-    far = Joint(
-        name="close_left_end_ground",
-        type="revolute",
-        parent="left_end",
-        child="ground",
-        parent_frame={},
-        child_frame={"position": [9.0, 0.0, 0.0]},
-    )
+    far = FIVE_BAR_TIP.remade(name="close_left_end_ground", child="ground", child_frame={"position": (9, 0, 0)})
     with pytest.raises(SceneError, match='--close "close_left_end_ground": cannot be assembled'):
         scene_from_robot(path, Options(joints=[far]))
 

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from robot_texts import ARM_SDF, ARM_URDF, bar, written
+from robot_texts import ARM_SDF, ARM_URDF, bar, freedoms, written
 from scene_files import cases, filled, text_of
 from scipy.integrate import solve_ivp
 
@@ -17,34 +17,18 @@ from liegroup_core.robots.read import read_robot
 from liegroup_core.robots.resources import find_resource
 from liegroup_core.scene.load import scene_from_robot
 
+pytestmark = pytest.mark.usefixtures("mjcf_here")
 INERTIAL = "<inertial><mass>2</mass><inertia><ixx>0.1</ixx><iyy>0.2</iyy><izz>0.25</izz></inertia></inertial>"
-
-
-def freedoms(simulation):
-    """Degrees of freedom at the start."""
-    return 6 * len(simulation.scene.bodies) - simulation.layout.model.row_residual.size
 
 
 def sdf(folder, text, version="1.9"):
     """Path of an SDF file."""
-    path = written(folder / "model.sdf", f'<sdf version="{version}">{text}</sdf>')
-    return path
+    return written(folder / "model.sdf", f'<sdf version="{version}">{text}</sdf>')
 
 
 def test_frames_of_nested_models(tmp_path):
     """Pose by pose: the model is at z = 1, the nested one at x = 2 turned by 90 degrees about z."""
-    text = f"""<world name="w"><gravity>0 0 -3.7</gravity><light name="sun"/>
-      <model name="outer"><pose>0 0 1 0 0 0</pose>
-        <link name="base">{INERTIAL}</link>
-        <frame name="mount" attached_to="inner::tip"><pose>0 0.5 0 0 0 0</pose></frame>
-        <model name="inner"><pose degrees="true">2 0 0 0 0 90</pose>
-          <link name="tip"><pose rotation_format="quat_xyzw">1 0 0  0 0 0 1</pose>{INERTIAL}</link>
-        </model>
-        <link name="flag"><pose relative_to="mount"/>{INERTIAL}</link>
-        <joint name="j" type="revolute"><parent>base</parent><child>mount</child>
-          <axis><xyz expressed_in="__model__">0 1 0</xyz></axis></joint>
-        <joint name="f" type="fixed"><parent>inner::tip</parent><child>flag</child></joint>
-      </model></world>"""
+    text = filled(text_of("nested.sdf"), inertial=INERTIAL)
     scene = load_scene(sdf(tmp_path, text))
     assert scene.gravity == (0.0, 0.0, -3.7)
     poses = {body.name: body.pose for body in scene.bodies}
@@ -75,16 +59,7 @@ def test_axes_of_older_files(version, flag, axis, tmp_path):
 
 
 def test_screws_gears_and_static_models(tmp_path):
-    text = f"""<model name="m"><link name="case">{INERTIAL}</link><link name="nut">{INERTIAL}</link>
-      <link name="in">{INERTIAL}</link><link name="out">{INERTIAL}</link>
-      <joint name="hold" type="fixed"><parent>world</parent><child>case</child></joint>
-      <joint name="thread" type="screw"><parent>case</parent><child>nut</child>
-        <axis><xyz>0 0 1</xyz></axis><screw_thread_pitch>0.005</screw_thread_pitch></joint>
-      <joint name="shaft" type="revolute"><parent>case</parent><child>in</child></joint>
-      <joint name="wheel" type="continuous"><parent>out</parent><child>case</child></joint>
-      <joint name="gear" type="gearbox"><parent>in</parent><child>out</child>
-        <gearbox_reference_body>case</gearbox_reference_body><gearbox_ratio>4</gearbox_ratio></joint>
-      </model>"""
+    text = filled(text_of("screws_and_gears.sdf"), inertial=INERTIAL)
     path = sdf(tmp_path, text)
     scene = load_scene(path)
     screw = next(joint for joint in scene.joints if joint.type == "screw")
@@ -371,13 +346,7 @@ def test_what_sdf_has_and_a_scene_has_not_is_noted(tmp_path):
         assert what in notes, (what, notes)
 
 
-ACTING = """<world name="w"><wind><linear_velocity>5 0 0</linear_velocity></wind>
-<plugin filename="gz-sim-buoyancy-system" name="gz::sim::systems::Buoyancy"/>
-<plugin filename="gz-sim-physics-system" name="gz::sim::systems::Physics"/><scene/>
-<model name="m"><enable_wind>1</enable_wind><plugin filename="gz-sim-joint-position-controller-system" name="hold"/>
-<link name="a">{}<enable_wind>0</enable_wind><velocity_decay><linear>0</linear></velocity_decay></link>
-<joint name="j" type="revolute"><parent>world</parent><child>a</child><axis><xyz>1 0 0</xyz></axis></joint>
-</model></world>"""
+ACTING = text_of("acting.sdf")
 ON_GAZEBO = """<gazebo><plugin filename="libgazebo_ros2_control.so" name="ros"/><static>0</static>
 <plugin filename="libhydrodynamics.so" name="water"/></gazebo>
 <gazebo reference="a"><mu1>1</mu1><dampingFactor>0.1</dampingFactor><selfCollide>1</selfCollide></gazebo>"""
@@ -443,19 +412,7 @@ def test_a_position_controller_of_gazebo_is_a_servo_if_it_equals_one(kind, more,
     assert not scene_from_robot(path, Options(driven={"j": None})).forces
 
 
-@pytest.mark.parametrize(
-    "file, acts",
-    [
-        ("gz-sim-imu-system", False),
-        ("libgazebo_ros_joint_state_publisher.so", False),
-        ("gz_ros2_control-system", False),
-        ("ignition::gazebo::systems::UserCommands", False),
-        ("libSimulationForces.so", True),  # no imu
-        ("gz-sim-joint-trajectory-controller-system", True),
-        ("gz-sim-multicopter-control-system", True),
-        ("libmimic_joint_plugin.so", True),
-    ],
-)
+@pytest.mark.parametrize("file, acts", cases("a_plugin_acts_unless_its_name_says_that_it_measures_or_waits"))
 def test_a_plugin_acts_unless_its_name_says_that_it_measures_or_waits(file, acts):
     assert passive(file) is not acts
 
@@ -606,14 +563,7 @@ def test_actuators_of_mjcf(actuators, forces, data, notes, tmp_path):
     assert not off.forces and not off.differences
 
 
-@pytest.mark.parametrize(
-    "control, range_, effort, details",
-    [
-        (2, "-10 10", 32.0, "; range from -40 to 40 N m: commands up to 32 N m"),
-        (-2, "-3 10", 4.0, "; range from -12 to 40 N m: commands up to 4 N m"),
-        (10, "-10 10", 80.0, "; range from -40 to 40 N m: only commands of one sign keep it"),
-    ],
-)
+@pytest.mark.parametrize("control, range_, effort, details", cases("a_command_adds_to_the_control_of_the_keyframe"))
 def test_a_command_adds_to_the_control_of_the_keyframe(control, range_, effort, details, tmp_path):
     """Gear 4: the sum of both stays within 4 times the range of the control."""
     path, beside = tmp_path / "driven.xml", tmp_path / "own.yaml"

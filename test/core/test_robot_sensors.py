@@ -13,6 +13,7 @@ from liegroup_core.scene.load import scene_of
 from liegroup_sim_ros.commands.main import main
 
 G = 9.81
+pytestmark = pytest.mark.usefixtures("mjcf_here")
 ARM = text_of("arm_robot_sensors.urdf")
 MOVING = Options(start={"shoulder": 0.3}, start_velocity={"shoulder": 2.0})
 
@@ -66,28 +67,14 @@ def test_a_base_that_is_fixed_to_the_world_shows_what_it_carries(tmp_path):
     assert sample.poses["base"][:3, :3] @ sample.reactions["foot"][3:] == pytest.approx(onto, abs=1e-12)
 
 
-@pytest.mark.parametrize(
-    "keep, text",
-    [
-        ("wrst", "keep: joint 'wrst' is not in the robot; did you mean \"wrist\""),
-        ("shoulder", 'keep: joint "shoulder" is revolute, and only fixed joints are merged'),
-        ("tcp_joint", 'keep: joint "tcp_joint" is cut or has no mass behind it'),
-    ],
-)
+@pytest.mark.parametrize("keep, text", cases("a_joint_that_cannot_be_kept_is_refused"))
 def test_a_joint_that_cannot_be_kept_is_refused(tmp_path, keep, text):
     with pytest.raises(SceneError) as error:
         scene_of(arm(tmp_path), Options(keep=[keep]))
     assert text in str(error.value) and "\n" not in str(error.value)
 
 
-GAZEBO = """<gazebo reference="wrist"><sensor name="cell" type="force_torque"><force_torque>{cell}
-  </force_torque></sensor></gazebo>
-<gazebo reference="tcp"><sensor name="imu" type="imu"><pose>0 0.1 0.02 0 0 1</pose><imu>
-  <angular_velocity>{noise}</angular_velocity><linear_acceleration/></imu></sensor>
-  <sensor name="eye" type="camera"/></gazebo>
-<gazebo reference="shoulder"><sensor name="drive" type="force_torque"><force_torque>
-  <measure_direction>parent_to_child</measure_direction></force_torque></sensor></gazebo>
-<gazebo reference="upper"><material>Blue</material></gazebo>"""
+GAZEBO = text_of("wrist_sensors.xml")
 NOISE = '<{0}><noise type="gaussian"><mean>{1}</mean><stddev>0.01</stddev></noise></{0}>'
 
 
@@ -223,15 +210,7 @@ def test_sensors_of_mjcf_show_what_mujoco_shows(tmp_path):
     assert "angle, whose angle MuJoCo counts from another zero, by ref" in "".join(load_scene(path).notes)
 
 
-ADDED = """robot: arm.urdf
-start: {shoulder: 0.305}
-sensors:
-  - {name: cell, type: force_torque, joint: wrist, frame: {position: [0, 0, 0.1]}, force_noise: 0}
-  - {name: tip, type: pose, body: tcp, frame: {position: [0, 0, 0.1]}}
-  - {name: imu, type: imu, body: flange_link, seed: 4}
-  - {name: disc, type: encoder, joint: shoulder, resolution: 0.01}
-  - {name: rope, type: distance, parent: tcp, child: base, parent_point: [0, 0, 0.1], child_point: [1, 0, 0]}
-"""
+ADDED = text_of("arm_with_sensors.yaml")
 
 
 def test_sensors_beside_a_robot_name_its_links_and_joints(tmp_path, capsys):

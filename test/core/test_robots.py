@@ -12,9 +12,11 @@ from robot_texts import (
     ARM_MJCF,
     ARM_SDF,
     ARM_URDF,
+    FIVE_BAR_TIP,
     MJCF_WITH_ACTUATORS,
     MJCF_WITH_ALL_JOINTS,
     five_bar_urdf,
+    freedoms,
     mimic_urdf,
     random_urdf,
     rotation,
@@ -22,16 +24,17 @@ from robot_texts import (
     stewart_sdf,
     written,
 )
-from scene_files import filled, text_of
+from scene_files import cases, filled, text_of
 
 from liegroup_core import Scene, SceneError, Simulation, load_scene
 from liegroup_core.describe import describe
-from liegroup_core.joints.kinds import Joint
 from liegroup_core.layout import make_layout
 from liegroup_core.robots.options import Options
 from liegroup_core.robots.starts import Start
 from liegroup_core.scene import scene_from_text
 from liegroup_core.scene.load import scene_from_robot
+
+pytestmark = pytest.mark.usefixtures("mjcf_here")
 
 
 def peers():
@@ -66,6 +69,9 @@ def by_hand():
         vector = axis / (2 * np.sin(angle)) * angle if angle > 1e-9 else np.zeros(3)
         return {"position": list(position), "rotation_vector": vector.tolist()}
 
+    def moved(turn):
+        return frame((0, 0, 0), (0, 0, 0), turn)
+
     def body(name, mass, com, rpy, inertia):
         R = rotation(*rpy)
         tensor = R @ np.array(inertia) @ R.T
@@ -88,30 +94,12 @@ def by_hand():
             body("tool", 0.4, (0, 0, 0.1), (0, 0, 0), np.diag([0.001, 0.001, 0.0005])),
         ],
         joints=[
-            {
-                "name": "shoulder",
-                "type": "revolute",
-                "parent": "world",
-                "child": "upper",
-                "parent_frame": frame((0.1, 0.2, 0.3), (0.2, 0.1, -0.3), tilt),
-                "child_frame": frame((0, 0, 0), (0, 0, 0), tilt),
-            },
-            {
-                "name": "extend",
-                "type": "prismatic",
-                "parent": "upper",
-                "child": "slide",
-                "parent_frame": frame((0.3, 0, 0.05), (0.5, 0, 0), along_y),
-                "child_frame": frame((0, 0, 0), (0, 0, 0), along_y),
-            },
-            {
-                "name": "flange",
-                "type": "fixed",
-                "parent": "slide",
-                "child": "tool",
-                "parent_frame": frame((0, 0.1, 0), (0, 0.7, 0)),
-                "child_frame": {},
-            },
+            {"name": name, "type": kind, "parent": parent, "child": child, "parent_frame": at, "child_frame": own}
+            for name, kind, parent, child, at, own in (
+                ("shoulder", "revolute", "world", "upper", frame((0.1, 0.2, 0.3), (0.2, 0.1, -0.3), tilt), moved(tilt)),
+                ("extend", "prismatic", "upper", "slide", frame((0.3, 0, 0.05), (0.5, 0, 0), along_y), moved(along_y)),
+                ("flange", "fixed", "slide", "tool", frame((0, 0.1, 0), (0, 0.7, 0)), {}),
+            )
         ],
     )
 
@@ -169,12 +157,7 @@ def test_random_urdf_trees_have_mujocos_accelerations(seed, tmp_path):
 
 
 ELBOW = text_of("arm_robots.urdf")
-LIGHT = """<link name="mid"/><link name="tip"/><link name="slider"/>
-<joint name="free" type="continuous"><parent link="lower"/><child link="mid"/><axis xyz="1 0 0"/></joint>
-<joint name="turn" type="continuous"><parent link="mid"/><child link="tip"/><origin xyz="0 0 -.2"/><axis xyz="0 0 1"/>
-  <dynamics damping="0.2"/><mimic joint="el" multiplier="-0.5"/></joint>
-<joint name="slide" type="prismatic"><parent link="tip"/><child link="slider"/><axis xyz="1 0 0"/>
-  <limit lower="-9" upper="9" effort="1" velocity="1"/><mimic joint="turn" multiplier="2" offset="0.3"/></joint>"""
+LIGHT = text_of("light_links.xml")
 
 
 def test_links_without_mass_follow_the_joints_that_theirs_mimic(tmp_path):
@@ -326,36 +309,10 @@ PLANAR_URDF = text_of("planar.urdf")
 UNIVERSAL_SDF = text_of("universal.sdf")
 
 
-@pytest.mark.parametrize(
-    "text, good, bad",
-    [
-        (
-            PLANAR_URDF,
-            dict(
-                position=[0.1, -0.2, 0],
-                rotation_vector=[0, 0, 2],
-                angular_velocity=[0, 0, 3],
-                linear_velocity=[1, 2, 0],
-            ),
-            [dict(position=[0, 0, 0.1]), dict(rotation_vector=[0.1, 0, 0]), dict(linear_velocity=[0, 0, 1])],
-        ),
-        (
-            UNIVERSAL_SDF,  # the turn by 0.5 about x, then by 0.3 about y, at 2 and -1 rad/s
-            dict(
-                quaternion=[
-                    np.sin(0.25) * np.cos(0.15),
-                    np.cos(0.25) * np.sin(0.15),
-                    np.sin(0.25) * np.sin(0.15),
-                    np.cos(0.25) * np.cos(0.15),
-                ],
-                angular_velocity=[2 * np.cos(0.3), -1, 2 * np.sin(0.3)],
-            ),
-            [dict(rotation_vector=[0, 0, 0.1]), dict(angular_velocity=[0, 0, 1]), dict(position=[1, 0, 0])],
-        ),
-    ],
-)
-def test_starts_satisfy_the_type_of_their_joint(text, good, bad, tmp_path):
+@pytest.mark.parametrize("text, case", [(PLANAR_URDF, "planar"), (UNIVERSAL_SDF, "universal")])
+def test_starts_satisfy_the_type_of_their_joint(text, case, tmp_path):
     """A scene that loads satisfies its joints at the start, poses and velocities."""
+    good, *bad = cases("starts_satisfy_the_type_of_their_joint")[case]
     path = written(tmp_path / ("r.urdf" if "robot" in text else "r.sdf"), text)
     still = scene_from_robot(path).bodies[0]
     start = Start(**good)
@@ -381,9 +338,6 @@ def test_describe_says_what_an_import_saved(options, bodies, coordinates, tmp_pa
     assert (saved["file_coordinates"], saved["coordinates"]) == (3, coordinates)
 
 
-TIP = Joint(name="tip", type="revolute", parent="left_end", child="right_end", parent_frame={}, child_frame={})
-
-
 @pytest.mark.parametrize(
     "text, options, file, scene",
     [
@@ -391,8 +345,8 @@ TIP = Joint(name="tip", type="revolute", parent="left_end", child="right_end", p
         (stewart_sdf(), Options(), 21, 21),
         # The base and the tip have no mass: their joints are held.
         (ARM_URDF, Options(base="floating"), 9, 7),
-        (five_bar_urdf(), Options(joints=[TIP]), 4, 4),
-        (five_bar_urdf().replace("continuous", "floating", 1), Options(joints=[TIP]), 9, 4),
+        (five_bar_urdf(), Options(joints=[FIVE_BAR_TIP]), 4, 4),
+        (five_bar_urdf().replace("continuous", "floating", 1), Options(joints=[FIVE_BAR_TIP]), 9, 4),
     ],
 )
 @pytest.mark.turn(3)
@@ -402,12 +356,7 @@ def test_joint_coordinates_count_what_floats(text, options, file, scene, tmp_pat
     assert (saved["file_coordinates"], saved["coordinates"]) == (file, scene)
 
 
-CLOSED_FIVE_BAR = """robot: five_bar.urdf
-start_velocity: {velocities}
-joints:
-  - {{name: tip, type: revolute, parent: left_end, child: right_end, parent_frame: {{}},
-     child_frame: {{}}}}
-"""
+CLOSED_FIVE_BAR = text_of("closed_five_bar.yaml")
 
 
 def test_start_velocities_of_a_loop(tmp_path):
@@ -448,18 +397,7 @@ def test_bases_and_chains(tmp_path):
 
 def test_a_yaml_file_closes_a_loop_and_adds_a_spring(tmp_path):
     (tmp_path / "five_bar.urdf").write_text(five_bar_urdf())
-    path = written(
-        tmp_path / "closed.yaml",
-        "robot: five_bar.urdf\n"
-        "gravity: [0, -9.81, 0]\n"
-        "start: {left_crank: 0.05}\n"
-        "joints:\n"
-        "  - {name: tip, type: revolute, parent: left_end, child: right_end, parent_frame: {},"
-        " child_frame: {}}\n"
-        "forces:\n"
-        "  - {name: spring, type: torsional_spring_damper, joint: left_crank, stiffness: 5}\n"
-        "  - {name: pull, type: applied_wrench, body: left_end, force: [0, 2, 0]}\n",
-    )
+    path = written(tmp_path / "closed.yaml", text_of("five_bar_with_forces.yaml"))
     scene = load_scene(path)
     simulation = Simulation(scene, "rkmk4", 1e-3)
     ends = simulation.sample().poses
@@ -512,11 +450,6 @@ def test_laws_beside_a_robot_name_its_links_and_joints(tmp_path):
             load_scene(path)
         message = str(caught.value)
         assert message.startswith(f"{path}:{line}: ") and expected in message, message
-
-
-def freedoms(simulation):
-    """Degrees of freedom at the start."""
-    return 6 * len(simulation.scene.bodies) - simulation.layout.model.row_residual.size
 
 
 def test_a_stewart_platform_from_sdf(tmp_path):

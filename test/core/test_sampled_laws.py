@@ -7,7 +7,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scene_files import text_of
+from scene_files import cases, filled, text_of
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
@@ -18,27 +18,7 @@ from liegroup_core.reference import integrate
 from liegroup_core.scene.load import scene_from_text
 
 MASS, STIFFNESS, DAMPING, REST = 1.3, 7.0, 0.4, 0.6
-CART = f"""
-name: cart
-gravity: [0, 0, 0]
-bodies:
-- {{name: cart, mass: {MASS}, inertia: [0.1, 0.1, 0.1]}}
-joints:
-- {{name: rail, type: prismatic, parent: world, child: cart, parent_frame: {{axis: [1, 0, 0]}},
-   child_frame: {{axis: [1, 0, 0]}}}}
-forces:
-- {{name: spring, type: linear_spring_damper, joint: rail, stiffness: {STIFFNESS}, damping: {DAMPING},
-   rest_position: {REST}}}
-- name: pid
-  type: law
-  period: PERIOD
-  delay: DELAY
-  inputs: {{q: rail.position, w: rail.velocity}}
-  parameters: {{kp: 40, ki: 1000, kd: 3}}
-  states: {{i: {{start: 0.001, update: i + 0.02*e}}}}
-  signals: {{e: 0.3 - q + 0.01*t}}
-  outputs: [{{joint: rail, effort: kp*e + 0.02*ki*i - kd*w}}]
-"""
+CART = filled(text_of("cart_sampled_laws.yaml"), mass=MASS, stiffness=STIFFNESS, damping=DAMPING, rest=REST)
 INSTANTS = [("0.02", "0"), ("0.02", "0.04"), ("0.02", "0.05"), ("0.015", "0.0213"), ("0.007", "0.1")]
 SETTINGS = [
     {"accuracy": 1e-10},
@@ -90,6 +70,7 @@ def test_a_sampled_controller_with_delay_has_the_exact_discrete_motion(period, d
 
 
 @pytest.mark.parametrize("period, delay", INSTANTS)
+@pytest.mark.volume(2)
 def test_the_reference_integration_has_the_exact_discrete_motion(period, delay):
     scene = cart(period, delay)
     found, uncertainty = integrate(scene, *Simulation(scene, quiet=True).state(), np.array([0.3, float(END)]))
@@ -250,18 +231,7 @@ def test_laws_of_several_periods_read_each_other_in_order():
     assert signals == {"count.n": 8, "count.m": 7, "smooth.twice": 14, "slow.sum": 7 + 2 * 6 + 60}
 
 
-@pytest.mark.parametrize(
-    "change, reason",
-    [
-        ({"period": 0}, "period must be a number of seconds from 1e-9 to 1e9"),
-        ({"delay": 0.1}, "delay requires a period"),
-        ({"period": 1e-4, "delay": 0.2}, "delay requires a period, at least 0.0002 s"),
-        ({"period": 0.1, "states": {"i": {"rate": "q"}}}, "states.i.rate: a law with a period has update in its place"),
-        ({"states": {"i": {"update": "q"}}}, "states.i.update: a law without a period has rate in its place"),
-        ({"period": 0.1, "states": {"i": {"start": 1}}}, "states.i: update is missing"),
-        ({"period": 0.1, "states": {"i": {"update": "j"}}}, "states.i.update: unknown name 'j'"),
-    ],
-)
+@pytest.mark.parametrize("change, reason", cases("a_wrong_sampled_law_is_refused_in_one_line"))
 def test_a_wrong_sampled_law_is_refused_in_one_line(change, reason):
     law = {"type": "law", "name": "own", "inputs": {"q": "hinge.position"}, "signals": {"e": "q"}} | change
     with pytest.raises(SceneError) as refused:
@@ -286,16 +256,7 @@ def test_what_needs_derivatives_refuses_a_sampled_law():
 
 def test_dry_friction_gives_way_at_the_instant_of_a_larger_effort():
     """A wheel of inertia 0.2 that friction of 1 N m holds: efforts of 0.9 and then 3 N m, later 0.5, in closed form."""
-    text = """
-name: wheel
-gravity: [0, 0, 0]
-bodies:
-- {name: wheel, mass: 1, inertia: [0.2, 0.2, 0.2]}
-joints:
-- {name: axle, type: revolute, parent: world, child: wheel, parent_frame: {axis: [0, 0, 1]}, friction: {coulomb: 1}}
-forces:
-- {name: own, type: law, period: 0.013, delay: 0.1, outputs: [{joint: axle, effort: "EFFORT"}]}
-"""
+    text = text_of("wheel_sampled_laws.yaml")
     scene = scene_from_text(text.replace("EFFORT", "0.9 if t < 0.39 else (3 if t < 0.65 else 0.5)"), "test")
     # Efforts start 0.1 s after the instants 0.39 s and 0.65 s.
     starts, stops = 30 * 0.013 + 0.1, 50 * 0.013 + 0.1

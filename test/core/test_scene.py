@@ -139,16 +139,7 @@ def test_inertia_lists_the_diagonal_then_xy_xz_yz():
     np.testing.assert_array_equal(body.inertia_matrix, [[2.0, 0.1, 0.2], [0.1, 3.0, 0.3], [0.2, 0.3, 4.0]])
 
 
-@pytest.mark.parametrize(
-    "inertia",
-    [
-        [1.0, 1.0, 2.0],  # thin disc
-        [2.0e-12, 1.0, 1.0],  # rod, a millionth as thick as long
-        [0.3333333, 0.3333333, 0.6666667],  # disc, seven digits
-        [0.36, 0.306, 0.09],
-        [1.5, 1.5, 2.0, 0.5, 0, 0],
-    ],
-)  # thin disc, axes turned by pi/4
+@pytest.mark.parametrize("inertia", cases("inertia_of_physical_bodies_is_accepted"))
 def test_inertia_of_physical_bodies_is_accepted(inertia):
     assert Body(name="b", mass=1, inertia=inertia).inertia == tuple(inertia)
 
@@ -252,19 +243,12 @@ def test_loading_takes_a_few_milliseconds():
 
 
 def made_in_code(**changes):
-    values = {
-        "name": "rig",
-        "gravity": np.array([0, 0, -9.81]),
-        "bodies": [Body(name="a", mass=np.float32(1.5), inertia=np.ones(3), position=(1, 0, 0))],
-        "joints": [
-            Joint(name="j", type="spherical", parent="world", child="a", child_frame=Frame(position=[-1, 0, 0]))
-        ],
-        "forces": [
-            SpringDamper(
-                name="s", parent="world", parent_point=[0, 0, 1], child="a", child_point=[0, 0, 0], stiffness=100
-            )
-        ],
-    }
+    body = Body(name="a", mass=np.float32(1.5), inertia=np.ones(3), position=(1, 0, 0))
+    joint = Joint(name="j", type="spherical", parent="world", child="a", child_frame=Frame(position=[-1, 0, 0]))
+    ends = {"parent": "world", "parent_point": [0, 0, 1], "child": "a", "child_point": [0, 0, 0]}
+    spring = SpringDamper(name="s", stiffness=100, **ends)
+    values = {"name": "rig", "gravity": np.array([0, 0, -9.81]), "bodies": [body], "joints": [joint]}
+    values["forces"] = [spring]
     return Scene(**(values | changes))
 
 
@@ -286,48 +270,30 @@ def test_every_joint_kind_survives_a_text_round_trip():
         assert [type(joint) for joint in again.joints] == [type(joint) for joint in scene.joints]
 
 
-@pytest.mark.parametrize(
-    "make, message",
-    [
-        (lambda: Body(name="top", mass=-1, inertia=[1, 1, 1]), 'Body "top": mass must be greater than 0, got -1'),
-        (lambda: Body(mass=1, inertia=[1, 1, 1]), "Body: name is missing: give the name: a letter,"),
-        (lambda: Frame(axis=[0, 0, 0]), "Frame: axis must not be zero"),
-        (
-            lambda: Joint(name="j", type="hinge", parent="world", child="a", child_frame=Frame()),
-            "Joint \"j\": type must be 'spherical', 'revolute', 'prismatic', 'cylindrical', 'planar', "
-            "'fixed' or 'universal', got 'hinge'",
-        ),
-        (
-            lambda: ScrewJoint(name="j", parent="world", child="a", child_frame=Frame()),
-            'ScrewJoint "j": pitch is missing: give the displacement along z in m per radian',
-        ),
-        (
-            lambda: DistanceJoint(name="j", parent="world", child="a", child_frame=Frame()),
-            'DistanceJoint "j": parent_frame is missing: give the frame',
-        ),
-        (
-            lambda: DistanceJoint(
-                name="j", parent="world", child="a", child_frame=Frame(), parent_frame=Frame(), length=0
-            ),
-            'DistanceJoint "j": length must be greater than 0, got 0',
-        ),
-        (
-            lambda: Joint(name="j", type="revolute", parent="world", child="a"),
-            'Joint "j": parent_frame or child_frame is missing',
-        ),
-        (
-            lambda: SpringDamper(name="s", parent="a", child="b", stiffness=1),
-            'SpringDamper "s": parent_point is missing: give the attachment point in m',
-        ),
-        (lambda: made_in_code(bodies=[]), "bodies is empty"),
-        (
-            lambda: made_in_code(bodies=[{"name": "a", "mass": 10**5000, "inertia": [1, 1, 1]}]),
-            'bodies[0] "a": mass must be finite, got a value of type int',
-        ),
-        (lambda: made_in_code(forces=[made_in_code().joints[0]]), 'forces[0] "j": must be a mapping'),
-        (lambda: made_in_code().model_copy(update={"gravity": (0, 0)}), "gravity must have 3 numbers"),
-    ],
-)
+HINGE = {"name": "j", "parent": "world", "child": "a"}
+
+
+@pytest.mark.parametrize("make, message", [
+    (lambda: Body(name="top", mass=-1, inertia=[1, 1, 1]), 'Body "top": mass must be greater than 0, got -1'),
+    (lambda: Body(mass=1, inertia=[1, 1, 1]), "Body: name is missing: give the name: a letter,"),
+    (lambda: Frame(axis=[0, 0, 0]), "Frame: axis must not be zero"),
+    (lambda: Joint(type="hinge", child_frame=Frame(), **HINGE), "Joint \"j\": type must be 'spherical', 'revolute', "
+     "'prismatic', 'cylindrical', 'planar', 'fixed' or 'universal', got 'hinge'"),
+    (lambda: ScrewJoint(child_frame=Frame(), **HINGE),
+     'ScrewJoint "j": pitch is missing: give the displacement along z in m per radian'),
+    (lambda: DistanceJoint(child_frame=Frame(), **HINGE),
+     'DistanceJoint "j": parent_frame is missing: give the frame'),
+    (lambda: DistanceJoint(child_frame=Frame(), parent_frame=Frame(), length=0, **HINGE),
+     'DistanceJoint "j": length must be greater than 0, got 0'),
+    (lambda: Joint(type="revolute", **HINGE), 'Joint "j": parent_frame or child_frame is missing'),
+    (lambda: SpringDamper(name="s", parent="a", child="b", stiffness=1),
+     'SpringDamper "s": parent_point is missing: give the attachment point in m'),
+    (lambda: made_in_code(bodies=[]), "bodies is empty"),
+    (lambda: made_in_code(bodies=[{"name": "a", "mass": 10**5000, "inertia": [1, 1, 1]}]),
+     'bodies[0] "a": mass must be finite, got a value of type int'),
+    (lambda: made_in_code(forces=[made_in_code().joints[0]]), 'forces[0] "j": must be a mapping'),
+    (lambda: made_in_code().model_copy(update={"gravity": (0, 0)}), "gravity must have 3 numbers"),
+])  # fmt: skip
 def test_wrong_values_in_code_raise_scene_error(make, message):
     with pytest.raises(SceneError) as caught:
         make()
@@ -359,14 +325,8 @@ VECTOR = st.tuples(FINITE, FINITE, FINITE)
     description=st.text(max_size=40),
 )
 def test_numbers_and_text_survive_a_round_trip_bit_for_bit(mass, gravity, position, twist, description):
-    body = Body(
-        name="true",
-        mass=mass,
-        inertia=[mass, mass, mass],
-        position=position,
-        angular_velocity=twist[0],
-        linear_velocity=twist[1],
-    )
+    keys = {"position": position, "angular_velocity": twist[0], "linear_velocity": twist[1]}
+    body = Body(name="true", mass=mass, inertia=[mass, mass, mass], **keys)
     scene = Scene(name="null", description=description, gravity=gravity, bodies=[body])
     again = scene_from_text(scene.text)
     assert repr(again.model_dump()) == repr(scene.model_dump())
@@ -403,15 +363,7 @@ def test_the_scene_in_the_documentation_loads():
 DEGREES = text_of("rod_scene.yaml")
 
 
-@pytest.mark.parametrize(
-    "type, limits, notes",
-    [
-        ("revolute", "{lower: -115, upper: 145}", ["115 rad are 18.3 turns", "145 rad are 23.1 turns"]),
-        ("revolute", "{lower: -3, upper: 12}", []),
-        ("revolute", "{upper: 1.0e+6}", []),
-        ("prismatic", "{lower: -90, upper: 90}", []),
-    ],
-)
+@pytest.mark.parametrize("type, limits, notes", cases("angles_that_look_like_degrees_have_a_note"))
 def test_angles_that_look_like_degrees_have_a_note(type, limits, notes):
     found = scene_from_text(filled(DEGREES, type=type, limits=limits)).notes
     assert len(found) == len(notes) and all(note in text for note, text in zip(notes, found)), found

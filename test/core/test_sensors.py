@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sensors of a scene against closed forms, their noise, and scenes that name them wrongly."""
 
+import mechanisms
 import numpy as np
 import pytest
 from scene_files import cases
@@ -60,15 +61,9 @@ def test_an_imu_at_a_point_of_a_pendulum():
 
 def test_an_imu_of_a_body_at_rest_and_of_one_that_falls():
     """At rest it shows g upwards, in free fall nothing; without gravity, nothing and g downwards."""
-    falling = Scene(
-        name="fall",
-        gravity=(0, 0, -G),
-        bodies=[{"name": "b", "mass": 1.0, "inertia": [1, 2, 2.5], "com": (0.1, 0.2, 0.3)}],
-        sensors=[
-            {"name": "imu", "type": "imu", "body": "b"},
-            {"name": "driver", "type": "imu", "body": "b", "remove_gravity": True},
-        ],
-    )
+    fall = mechanisms.one_body(gravity=(0, 0, -G), inertia=(1, 2, 2.5), com=(0.1, 0.2, 0.3))
+    imu = {"name": "imu", "type": "imu", "body": "a"}
+    falling = fall.remade(sensors=[imu, imu | {"name": "driver", "remove_gravity": True}])
     assert read(falling)["imu"][7:] == pytest.approx([0, 0, 0], abs=1e-14)
     assert read(falling)["driver"][7:] == pytest.approx([0, 0, -G], abs=1e-14)
     kinds = {"type": "imu", "body": "rod"}, {"type": "imu", "body": "rod", "remove_gravity": True}

@@ -1,18 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Servos: closed forms with commands and limits, turns, exact repetition, refusals."""
+"""Servos: closed forms with commands and limits, turns, exact repetition, those that hold a robot, and refusals."""
 
 import json
+import math
 
 import numpy as np
 import pytest
+import scipy
 from given import reference_inputs
-from scene_files import text_of
+from robot_texts import written
+from scene_files import cases, text_of
 from scipy.linalg import expm
 
 from liegroup_core import SceneError, Simulation, load_scene
 from liegroup_core.forces.commands import Command
 from liegroup_core.reference import integrate
-from liegroup_core.scene.load import scene_from_text
+from liegroup_core.robots.held_joints import Servos
+from liegroup_core.robots.options import Options
+from liegroup_core.scene.load import scene_from_robot, scene_from_text
 
 INERTIA, MASS = 0.5, 2.0
 SERVO = "{name: drive, type: servo, joint: hinge, stiffness: 40, damping: 3"
@@ -21,15 +26,7 @@ LINEAR = "{name: pull, type: linear_servo, joint: slide, stiffness: 90, damping:
 BENCH = text_of("bench_servos.yaml")
 # Two links on a tilted base under gravity, one that slides.
 ARM = text_of("arm_servos.yaml")
-GROUPS = [
-    ("rkmk8", "relative"),
-    ("rkmk8", "se3"),
-    ("rkmk8", "so3xr3"),
-    ("generalized_alpha", "relative"),
-    ("generalized_alpha", "so3xr3"),
-    ("constrained_rattle", "relative"),
-    ("constrained_rattle", "so3xr3"),
-]
+GROUPS = cases("servos_groups")
 
 
 def scene(text, *forces):
@@ -237,3 +234,51 @@ def test_a_reset_ends_commands():
     simulation.reset()
     simulation.advance(10)
     assert simulation.sample().joint_coordinates["hinge"] == (0.0, 0.0)
+
+
+# A hinge about y, whose bar has its centre 0.3 m below it, a slide, and a finger that follows the hinge.
+URDF = text_of("arm_held_joints.urdf")
+STIFFNESS, DAMPING = 40.0, 8.0
+
+
+def held(tmp_path, start=1.2, forces=(), **keys):
+    path = written(tmp_path / "arm.urdf", URDF)
+    servos = Servos(stiffness=STIFFNESS, damping=DAMPING, **keys)
+    return scene_from_robot(path, Options(start={"hinge": start}, servos=servos, forces=list(forces)))
+
+
+@pytest.mark.parametrize("turns", [0, 1])
+def test_a_joint_comes_to_rest_where_its_servo_carries_the_weight(tmp_path, turns):
+    """Round-off after 20 s, in which the slowest motion decays by e^-40; a start beyond a turn is the same start."""
+    start = 1.2 + 2.0 * math.pi * turns
+    scene = held(tmp_path, start, joints=["hinge", "lift"])
+    assert [(f.type, f.joint, f.effort_limit) for f in scene.forces] == [
+        ("servo", "hinge", 100.0),
+        ("linear_servo", "lift", None),
+    ]
+    simulation = Simulation(scene, accuracy=1e-9, quiet=True)
+    simulation.advance_to(20.0)
+    at = simulation.sample().joint_coordinates
+    rest = scipy.optimize.brentq(lambda q: STIFFNESS * (1.2 - q) - 2.0 * 9.81 * 0.3 * math.sin(q), 0.0, 1.2)
+    assert at["hinge"][0] == pytest.approx(rest, abs=1e-8)
+    assert at["lift"][0] == pytest.approx(-3.0 * 9.81 / STIFFNESS, abs=1e-8)
+
+
+def test_joints_that_turn_and_that_nothing_else_leads_are_held(tmp_path):
+    assert [force.joint for force in held(tmp_path).forces] == ["hinge"]
+    own = {"name": "own", "type": "servo", "joint": "hinge", "stiffness": 5, "damping": 1}
+    scene = scene_from_robot(written(tmp_path / "arm.urdf", URDF), Options())
+    servo = scene.remade(forces=[own]).forces[0]
+    with pytest.raises(
+        SceneError, match="servos: no joint that turns is free of other servos and couplings: name joints"
+    ):
+        held(tmp_path, forces=[servo])
+
+
+@pytest.mark.parametrize("keys, said", cases("a_wrong_hold_is_refused_in_one_line"))
+def test_a_wrong_hold_is_refused_in_one_line(tmp_path, keys, said):
+    with pytest.raises(SceneError, match=said) as caught:
+        scene_from_robot(
+            written(tmp_path / "arm.urdf", URDF), Options(servos=Servos(**({"stiffness": 1, "damping": 1} | keys)))
+        )
+    assert "\n" not in str(caught.value)

@@ -1,16 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Simulation for users: stepping, options, and errors that end an integration."""
+"""Simulation for users: stepping, options, errors that end an integration, and threads."""
 
 import dataclasses
 import functools
 import threading
+import time
 
 import mechanisms
 import numpy as np
 import pytest
+from scene_files import cases
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from liegroup_core import SceneError, Simulation, engine, load_scene
-from liegroup_core.scene import Body
+from liegroup_core.compiling import compiled
+from liegroup_core.engine import Engine
+from liegroup_core.scene import Body, assembly
 from liegroup_core.settings import SETTINGS
 
 
@@ -37,17 +42,7 @@ def test_a_stretched_immobile_linkage_is_refused(slack):
     assert Simulation(mechanisms.two_links(1.5), method="rkmk4").layout.dropped_rows == []
 
 
-@pytest.mark.parametrize(
-    "setting, text",
-    [
-        ({"method": "rk9"}, "unknown method 'rk9'; choose one of: rkmk1, "),
-        ({"group": "so3"}, "unknown group 'so3'; choose one of: auto, se3, so3xr3"),
-        ({"step": 0.0}, "step must be a number from 1e-09 to 1e\\+06 s, got 0.0"),
-        ({"step": 1e-300, "method": "rkmk4"}, "step must be a number from 1e-09 to 1e\\+06 s, got 1e-300"),
-        ({"step": float("nan")}, "step must be"),
-        ({"step": "1"}, "step must be a number from 1e-09 to 1e\\+06 s, got '1'"),
-    ],
-)
+@pytest.mark.parametrize("setting, text", cases("wrong_options_are_refused_with_a_remedy"))
 def test_wrong_options_are_refused_with_a_remedy(setting, text):
     with pytest.raises(ValueError, match=text):
         Simulation(load_scene("free_body"), **setting)
@@ -189,3 +184,51 @@ def test_a_halted_run_to_an_accuracy_ends_after_a_step_that_another_run_has():
         other.reset()
         other.advance(halted.steps)
         assert all(map(np.array_equal, halted.state(), other.state())), halted.steps
+
+
+def blas_threads():
+    return [found["num_threads"] for found in threadpool_info() if found["user_api"] == "blas"]
+
+
+def test_a_model_is_built_with_one_blas_thread(monkeypatch):
+    seen, assembled = [], assembly.assembled
+
+    def watched(*arguments):
+        seen.append(blas_threads())
+        return assembled(*arguments)
+
+    monkeypatch.setattr(assembly, "assembled", watched)
+    with threadpool_limits(2, "blas"):
+        before = blas_threads()
+        Engine(load_scene("four_bar"), quiet=True)
+        assert blas_threads() == before
+    assert seen and all(set(threads) == {1} for threads in seen)
+
+
+# Steps are taken without the interpreter lock: other threads of the process keep running.
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not compiled(), reason="nothing is compiled")
+def test_other_threads_run_during_compiled_steps():
+    """If the GIL were held, this thread would block for the whole duration of the steps.
+
+    The longest observed pause must stay below half of it.
+    """
+    simulation = Simulation(load_scene("heavy_top"), "rkmk4", estimate=False)
+    steps, span = 500_000, []  # half a second in one compiled call
+
+    def advance():
+        start = time.perf_counter()
+        simulation.advance(steps)
+        span.append(time.perf_counter() - start)
+
+    thread = threading.Thread(target=advance)
+    thread.start()
+    longest, last = 0.0, time.perf_counter()
+    while not span:
+        now = time.perf_counter()
+        longest, last = max(longest, now - last), now
+    thread.join()
+    assert simulation.steps == steps
+    assert longest < 0.5 * span[0]

@@ -7,7 +7,7 @@ import pickle
 
 import numpy as np
 import pytest
-from scene_files import text_of
+from scene_files import cases, text_of
 
 from liegroup_core import Simulation, load_scene
 from liegroup_core.methods.table import METHODS
@@ -16,24 +16,9 @@ from liegroup_core.state import State, StoredMatrix, encoded
 from liegroup_sim_ros.recording import attachments
 
 SPRING = text_of("wound_snapshot.yaml")
-PLATE = """
-name: plate
-gravity: [0, 0, -9.81]
-bodies:
-  - {name: plate, mass: 1, inertia: [4.0e-3, 5.0e-3, 8.0e-3], position: [0, 0, 0.0201], linear_velocity: [0.1, 0, 0]}
-forces:
-  - {name: floor, type: contact, body: plate, shape: {type: hull, points: POINTS}, stiffness: 1.0e+4, damping: 3.0e+3,
-     friction: 0.5, slip: 1.0e-4}
-"""
+PLATE = text_of("plate.yaml")
 PUSH = [0.3, 0.1, 0.0, 0.0, 0.2, 0.0]
-CASES = [
-    ("four_bar", {"accuracy": 1e-5, "step": 1e-3}),
-    ("heavy_top", {"accuracy": 1e-6}),
-    ("double_pendulum", {"method": "rkmk4", "step": 1e-3, "group": "se3"}),
-    ("four_bar", {"method": "generalized_alpha", "step": 1e-3}),
-    ("bricard", {"method": "constrained_rattle", "step": 1e-3}),
-    ("heavy_top", {"method": "rkmk853", "step": 1e-2, "rtol": 1e-11, "atol": 1e-11}),
-]
+CASES = cases("snapshot_cases")
 
 
 def trace(simulation, count=40):

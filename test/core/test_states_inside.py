@@ -91,6 +91,7 @@ def pushed(name, ask, **options):
 
 
 @pytest.mark.parametrize("name, accuracy", cases("errors_between_steps_are_covered"))
+@pytest.mark.volume(4)
 def test_errors_between_steps_are_covered_by_their_estimate_and_loops_stay_closed(name, accuracy):
     """Of all states 5 % may have an error above the estimate, as between two runs whose errors are equal by chance.
 

@@ -7,6 +7,7 @@ Checked along integrations of `liegroup_core.reference`, which does not use symm
 
 import numpy as np
 import pytest
+from scene_files import filled, text_of
 
 from liegroup_core import Simulation, load_scene
 from liegroup_core.mechanism.body_model import initial_state
@@ -34,27 +35,14 @@ def ball(pivot, child="a", parent="world"):
     return Joint(name=f"ball_{child}", type="spherical", parent=parent, child=child, parent_frame=Frame(position=pivot))
 
 
-def hinge(pivot, axis, child="a", parent="world"):
-    return Joint(
-        name=f"hinge_{child}",
-        type="revolute",
-        parent=parent,
-        child=child,
-        parent_frame=Frame(position=pivot, axis=axis),
-    )
+def hinge(pivot, axis):
+    at = Frame(position=pivot, axis=axis)
+    return Joint(name="hinge_a", type="revolute", parent="world", child="a", parent_frame=at)
 
 
 def spring(place, at=(0.0, 0.0, 0.0), rest=0.0, damping=0.0, child="a", parent="world"):
-    return SpringDamper(
-        name=f"spring_{child}",
-        parent=parent,
-        parent_point=place,
-        child=child,
-        child_point=at,
-        stiffness=60.0,
-        damping=damping,
-        rest_length=rest,
-    )
+    ends = {"parent": parent, "parent_point": place, "child": child, "child_point": at}
+    return SpringDamper(name=f"spring_{child}", stiffness=60.0, damping=damping, rest_length=rest, **ends)
 
 
 def scene(bodies, joints=(), forces=(), gravity=G):
@@ -64,17 +52,7 @@ def scene(bodies, joints=(), forces=(), gravity=G):
 PIVOT = (0.1, 0.2, -0.1)
 TOP = body(pivot=PIVOT)
 FIELD = 60.0 * np.subtract((0.5, 0.9, 0.3), PIVOT) + 2.0 * np.array(G)
-CHAIN = [
-    body("a", (0.3, 0.0, 0.0), (0.0, 0.0, 0.0)),
-    Body(
-        name="b",
-        mass=1.0,
-        inertia=(0.02, 0.03, 0.04),
-        position=(0.9, 0.0, 0.0),
-        angular_velocity=(0.7, -1.1, 1.9),
-        linear_velocity=np.cross((0.7, -1.1, 1.9), (0.9, 0, 0)),
-    ),
-]
+CHAIN = [body("a", (0.3, 0.0, 0.0), (0.0, 0.0, 0.0)), body("b", (0.9, 0.0, 0.0), (0.0, 0.0, 0.0))]
 
 # name: (scene, [(point or None for the centre of mass, angular directions, linear directions)])
 CASES = {
@@ -301,14 +279,7 @@ def test_values_agree_with_the_sample():
 @pytest.mark.parametrize("friction, count", [(0.0, 2), (0.5, 0)])
 def test_a_plane_conserves_what_is_across_its_normal_without_friction(friction, count):
     """It touches at few of the generic poses. Horizontal momentum and the angular one along the normal are kept."""
-    text = f"""
-name: thrown
-gravity: [0, 0, -9.81]
-bodies:
-- {{name: ball, shape: {{type: sphere, radius: 0.1, mass: 2}}, position: [0, 0, 0.3], linear_velocity: [1, 0, 0]}}
-forces:
-- {{name: floor, type: contact, body: ball, sinks: 1.0e-4, restitution: 0.5, friction: {friction}}}
-"""
+    text = filled(text_of("thrown_symmetry.yaml"), friction=friction)
     labels = [label for one in conserved_momentum(scene_from_text(text, "test")) for label in one.labels]
     linear = ["linear momentum along (1, 0, 0)", "linear momentum along (0, 1, 0)"][:count]
     assert sorted(label for label in labels if label.startswith("linear")) == sorted(linear)

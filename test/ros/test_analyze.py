@@ -11,6 +11,7 @@ import math
 import numpy as np
 import pytest
 from made_run import PAIR, record
+from scipy.spatial.transform import Rotation
 
 from liegroup_core import load_scene
 from liegroup_core.scene.load import scene_from_text
@@ -49,14 +50,9 @@ def test_error_of_the_heavy_top_equals_an_independent_implementation(tmp_path):
     for entry in (error[name] for name in ("position", "attitude", "angle", "angular", "linear")):
         assert 0.0 < entry["uncertainty"] < 1e-3 * entry["max"]
     assert (error["kind"], error["seconds"]) == ("integration", 6.0)
-    assert figures["repeat"] == {
-        "samples": 301,
-        "identical": 301,
-        "first_difference": None,
-        "stopped": None,
-        "platform": {},
-        "largest_difference": dict.fromkeys(("position_m", "angle_rad", "angular_rad_s", "linear_m_s"), 0.0),
-    }
+    same = {"samples": 301, "identical": 301, "first_difference": None, "stopped": None, "platform": {}}
+    same["largest_difference"] = dict.fromkeys(("position_m", "angle_rad", "angular_rad_s", "linear_m_s"), 0.0)
+    assert figures["repeat"] == same
     assert figures["problems"] == []
     assert figures["joints"]["pivot"]["largest"] < 1e-12
     assert figures["joints"]["pivot"]["unit"] == "m"
@@ -79,14 +75,7 @@ def test_energy_and_momentum_drift_of_force_free_intervals(pushed_top):
     figures = analyse(recording, reference=False).figures
     pose, twist = recording.pose["top"], recording.twist["top"].twist
     time = pose.stamp_ns * 1e-9
-    x, y, z, w = pose.quaternion.T
-    R = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    R = Rotation.from_quat(pose.quaternion).as_matrix().transpose(1, 2, 0)
     inertia, mass = np.array([0.36, 0.306, 0.09]), 21.6
     kinetic = 0.5 * twist[:, :3] ** 2 @ inertia + 0.5 * mass * (twist[:, 3:] ** 2).sum(axis=1)
     spring = 0.5e4 * ((pose.position - [1.0, 0.0, 0.5]) ** 2).sum(axis=1)
@@ -117,13 +106,11 @@ def test_repetition_and_reference_use_the_recorded_wrenches(pushed_top, tmp_path
     good = figures_of(pushed_top)
     assert good["repeat"]["identical"] == good["repeat"]["samples"] == 151
     assert good["reference"]["angle"]["max"] < 1e-4
-    spoilt = record(
-        tmp_path / "a.mcap",
-        load_scene("heavy_top"),
-        1500,
-        pushes=PUSHED.items(),
-        spoil=lambda topic, k, data: None if "inputs" in topic and k == 1 else data,
-    )
+
+    def without_the_end(topic, k, data):
+        return None if "inputs" in topic and k == 1 else data
+
+    spoilt = record(tmp_path / "a.mcap", load_scene("heavy_top"), 1500, pushes=PUSHED.items(), spoil=without_the_end)
     bad = figures_of(spoilt)
     assert bad["repeat"]["identical"] == 71  # up to 1.4 s, where the push should end
     assert bad["repeat"]["first_difference"]["at_s"] == pytest.approx(1.42)
@@ -145,20 +132,9 @@ def test_one_flipped_bit_is_detected(tmp_path):
 @pytest.mark.turn(3)
 def test_every_reset_starts_a_new_interval(tmp_path):
     """Each interval starts from the initial state; a wrench counts until the reset ends it."""
-    figures = figures_of(
-        record(
-            tmp_path / "a.mcap",
-            load_scene("heavy_top"),
-            900,
-            resets=(300, 555),
-            pushes=[
-                (100, ("top", (0, 0, 5.0, 0, 0, 0))),
-                (200, ("top", (0,) * 6)),
-                (400, ("top", (0, 0, 5.0, 0, 0, 0))),
-                (600, ("top", (0, 0, 5.0, 0, 0, 0))),
-            ],
-        )
-    )
+    push, none = (0, 0, 5.0, 0, 0, 0), (0,) * 6
+    pushes = [(at, ("top", wrench)) for at, wrench in ((100, push), (200, none), (400, push), (600, push))]
+    figures = figures_of(record(tmp_path / "a.mcap", load_scene("heavy_top"), 900, resets=(300, 555), pushes=pushes))
     assert figures["resets"] == 2 and figures["problems"] == []
     assert figures["repeat"]["identical"] == figures["repeat"]["samples"] == 31 + 26 + 35
     assert figures["reference"]["angle"]["max"] < 1e-4
@@ -201,12 +177,11 @@ def test_nan_samples_are_reported_and_excluded(tmp_path, capsys):
 
 def test_missing_samples_and_messages_are_reported(tmp_path):
     """A sample lacking the messages of one body is excluded; sequence gaps are reported."""
-    log = record(
-        tmp_path / "a.mcap",
-        scene_from_text(PAIR),
-        400,
-        spoil=lambda topic, k, data: None if k == 7 and topic.startswith("/sim_node/left") else data,
-    )
+
+    def missing(topic, k, data):
+        return None if k == 7 and topic.startswith("/sim_node/left") else data
+
+    log = record(tmp_path / "a.mcap", scene_from_text(PAIR), 400, spoil=missing)
     recording = dataclasses.replace(read_recording(log), lost={"/clock": 3})
     figures = analyse(recording, reference=False).figures
     assert figures["missing_samples"] == 1 and figures["samples"] == 40

@@ -46,11 +46,11 @@ TOP = text_of("top_analyze_more.yaml")
 
 
 def run(path, scene, method="rkmk4", step=2e-3, duration=1.0, every=10, spoil=lambda sample: sample, **options):
-    """Record a run of the engine without pacing; `spoil` may change a sample."""
-    from liegroup_sim_ros.recording.write_run import LogFile
-
+    """Record a run of the engine without pacing; `spoil` may change a sample, `first` what the run begins with."""
+    first = options.pop("first", lambda simulation: None)
     simulation = Simulation(scene, method, step, **options)
-    with LogFile(path, simulation, every, 0) as file:
+    first(simulation)
+    with write_run.LogFile(path, simulation, every, 0) as file:
         file.sample(spoil(simulation.sample()))
         for _ in range(round(duration / step / every)):
             simulation.advance(every)
@@ -98,19 +98,14 @@ def test_observed_order_and_one_step_error(tmp_path, method, order, step):
 
 def test_the_error_of_a_step_with_error_control_takes_three_steps_a_window(tmp_path, monkeypatch):
     """One step and two halves: its error has no order, so that no other steps are needed."""
+    recording = read_recording(run(tmp_path / "a.mcap", scene_from_text(TOP), None, 0.01, 0.2, 1, accuracy=1e-6))
     simulation = Simulation(scene_from_text(TOP), accuracy=1e-6, step=0.01)
-    with write_run.LogFile(tmp_path / "run.mcap", simulation, 1, 0) as file:
-        for _ in range(20):
-            simulation.advance(1)
-            file.sample(simulation.sample())
-        file.finish(simulation, None, False, 1.0)
     taken, advance = [], local_error.WorkLimit.advance
 
     def counting(self, simulation, steps):
         taken.append(steps)
         advance(self, simulation, steps)
 
-    recording = read_recording(tmp_path / "run.mcap")
     motion = RecordedMotion(recording, simulation.layout)
     list(motion.blocks())
     monkeypatch.setattr(local_error.WorkLimit, "advance", counting)
@@ -399,13 +394,11 @@ def test_without_a_reference_the_recorded_estimate_takes_its_place(
 
 def test_estimates_of_a_later_part_are_not_compared(tmp_path):
     """They count from the start of the run, the error from the start of the part."""
-    simulation = Simulation(load_scene("heavy_top"), step=2e-3, estimate=True)
-    simulation.advance(200)
-    with write_run.LogFile(tmp_path / "a.mcap", simulation, 10, 0) as file:
-        for _ in range(50):
-            file.sample(simulation.sample())
-            simulation.advance(10)
-        file.finish(simulation, None, False, 1.0)
+
+    def later(simulation):
+        simulation.advance(200)
+
+    run(tmp_path / "a.mcap", load_scene("heavy_top"), None, estimate=True, first=later)
     analysis = analyse(read_recording(tmp_path / "a.mcap"))
     entry = analysis.figures["estimate"]["position"]
     assert entry["max"] > 0.0 and (entry["samples"], entry["covering"]) == (0, None)
@@ -433,13 +426,11 @@ def test_the_coverage_is_the_estimate_divided_by_the_error(tmp_path):
 
 def test_efforts_are_listed_by_joint(tmp_path):
     """The effort at a joint acts on two bodies, but is one."""
-    simulation = Simulation(load_scene("double_pendulum"), "rkmk4", 1e-2, estimate=False)
-    simulation.apply_effort("elbow", 1.0, start=0.1)
-    with write_run.LogFile(tmp_path / "a.mcap", simulation, 1, 0) as file:
-        for _ in range(20):
-            file.sample(simulation.sample())
-            simulation.advance()
-        file.finish(simulation, None, False, 1.0)
+
+    def pushed(simulation):
+        simulation.apply_effort("elbow", 1.0, start=0.1)
+
+    run(tmp_path / "a.mcap", load_scene("double_pendulum"), "rkmk4", 1e-2, 0.2, 1, estimate=False, first=pushed)
     figures = analyse(read_recording(tmp_path / "a.mcap")).figures
     assert figures["pushes"] == [{"joint": "elbow", "from_s": 0.1, "to_s": None}] and figures["push_count"] == 1
     (row,) = [row for row in dict(sections(figures))["Run"] if row[0] == "wrenches and efforts"]
@@ -504,14 +495,8 @@ def test_two_recordings_are_compared(logs, tmp_path):
 @pytest.mark.turn(3)
 def test_long_recordings_are_analysed_in_pieces(tmp_path, monkeypatch):
     """The result equals that of a single piece, with and without thinned curves."""
-    log = record(
-        tmp_path / "a.mcap",
-        scene_from_text(PAIR),
-        2000,
-        per_sample=1,
-        resets=(700,),
-        pushes=[(300, ("left", (0, 0, 1.0, 0, 0, 0))), (400, ("left", (0,) * 6))],
-    )
+    pushes = [(300, ("left", (0, 0, 1.0, 0, 0, 0))), (400, ("left", (0,) * 6))]
+    log = record(tmp_path / "a.mcap", scene_from_text(PAIR), 2000, per_sample=1, resets=(700,), pushes=pushes)
     whole = analyse(read_recording(log))
     for name, value in (
         ("recording.read.PIECE", 130),
@@ -575,16 +560,7 @@ def test_a_limit_below_the_reference_uncertainty_fails():
         assert len(found) == 2 and all(said in text for text in found)
 
 
-@pytest.mark.parametrize(
-    "error, uncertainty, said",
-    [
-        (1.0, 0.05, "1 m"),
-        (1.0, 0.2, "1 m (± 0.2 m)"),
-        (0.0, 0.0, "0 m"),
-        (1.0, 1.5, "1.5 m (the reference uncertainty)"),
-        (math.nan, 1.0, "not a number"),
-    ],
-)
+@pytest.mark.parametrize("error, uncertainty, said", cases("an_error_is_printed_with_its_uncertainty"))
 def test_an_error_is_printed_with_its_uncertainty(error, uncertainty, said):
     entry = {"max": error, "uncertainty": uncertainty, "unit": "m"}
     assert error_text(entry) == said
@@ -632,7 +608,7 @@ def test_recordings_are_read_over_http(logs, capsys):
 
 @pytest.mark.turn(3)
 def test_the_library_works_without_ros(tmp_path):
-    """Arrays and data frames in a Python where no ROS package can be imported."""
+    """Arrays, data frames and `analyze` in a Python where no ROS package can be imported."""
     log = record(tmp_path / "a.mcap", scene_from_text(PAIR), 100, pushes=[(20, ("left", (0, 0, 1.0, 0, 0, 2.0)))])
     code = """
 import sys
@@ -652,9 +628,12 @@ assert given.px.isna().all() and given.end.isna().all() and abs(given.start.iloc
 assert recording.to_pandas("events").name.tolist() == ["start", "stop"]
 assert recording.joint_states is None and recording.to_pandas("joints").empty
 assert recording.errors is None and recording.to_pandas("errors").empty
+from liegroup_sim_ros.commands.main import main
+sys.exit(main(["analyze", sys.argv[1], "--no-reference"]))
 """
     done = subprocess.run([sys.executable, "-c", code, str(log)], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
+    assert "11 of 11 samples" in " ".join(done.stdout.split())
 
 
 @pytest.mark.turn(3)

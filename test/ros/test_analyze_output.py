@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from made_run import PACING, PAIR, record
 from rich.console import Console
+from scene_files import cases
 from waiting import PATIENCE
 
 from liegroup_core import Simulation
@@ -53,18 +54,7 @@ def test_a_run_that_was_only_stepped_is_not_too_slow(tmp_path):
     assert not [problem for problem in figures["problems"] if "slow" in problem]
 
 
-@pytest.mark.parametrize(
-    "factors, mean, text",
-    [
-        ({0: 2.0}, 2.0, "requested 2"),
-        ({0: 0.0}, 0.0, "requested: as fast as possible"),
-        # 0.3 s at 1 and 0.1 s at 0.5 take 0.3 s + 0.2 s.
-        ({0: 1.0, 150: 0.5}, 0.8, "requested 0.8 on average, changed 1 time, last 0.5"),
-        # A change at the end weighs nothing.
-        ({0: 1.0, 200: 0.5}, 1.0, "requested 1 on average, changed 1 time, last 0.5"),
-        ({0: 1.0, 50: 0.0, 100: 1.0}, None, "requested factor changed 2 times, last 1"),
-    ],
-)
+@pytest.mark.parametrize("factors, mean, text", cases("the_requested_factor_is_averaged_over_time"))
 def test_the_requested_factor_is_averaged_over_time(tmp_path, factors, mean, text):
     pacing = PACING | {"real_time_factor": 0.78}
     log = record(tmp_path / "a.mcap", scene_from_text(PAIR), 200, pacing=pacing, factors=factors)
@@ -90,17 +80,9 @@ def test_an_offline_run_has_no_requested_real_time_factor(tmp_path):
 def test_files_are_written_although_stdout_is_closed(tmp_path):
     log = record(tmp_path / "a.mcap", scene_from_text(PAIR), 50)
     page, figures = tmp_path / "a.html", tmp_path / "a.json"
-    child = subprocess.Popen(
-        [
-            sys.executable,
-            "-m",
-            "liegroup_sim_ros.commands.main",
-            *("analyze", str(log), "--html", str(page), "--json", str(figures)),
-        ],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    arguments = ["analyze", str(log), "--html", str(page), "--json", str(figures)]
+    command = [sys.executable, "-m", "liegroup_sim_ros.commands.main", *arguments]
+    child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     child.stdout.close()
     assert child.wait(PATIENCE) != 0
     assert "Traceback" not in child.stderr.read()
@@ -212,23 +194,6 @@ def test_plots_of_every_file_type(tmp_path, capsys):
         assert main(["analyze", log, *more, "--png", str(picture)]) == 2
         out, err = capsys.readouterr()
         assert out == "" and said in err and err.count("\n") == 1
-
-
-@pytest.mark.turn(3)
-def test_works_without_ros(tmp_path):
-    """In a Python where no ROS package can be imported."""
-    log = record(tmp_path / "a.mcap", scene_from_text(PAIR), 100)
-    code = (
-        "import sys\n"
-        "for name in ('rclpy', 'geometry_msgs', 'rcl_interfaces', 'diagnostic_msgs',"
-        " 'builtin_interfaces', 'std_msgs'):\n"
-        "    sys.modules[name] = None\n"
-        "from liegroup_sim_ros.commands.main import main\n"
-        "sys.exit(main(['analyze', sys.argv[1], '--no-reference']))"
-    )
-    done = subprocess.run([sys.executable, "-c", code, str(log)], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    assert "11 of 11 samples" in " ".join(done.stdout.split())
 
 
 def test_command_line(capsys):

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from node_process import NodeProcess, stamp_of
-from scene_files import text_of
+from scene_files import cases, text_of
 
 from liegroup_core import SceneError, Simulation
 from liegroup_core.layout import make_layout
@@ -28,15 +28,7 @@ def test_rates_of_wheels_follow_from_the_scene():
     assert make_layout(scene_from_text(turned, source="t")).wheels.at(0.5, 2.0)["right"] == pytest.approx(-8.4)
 
 
-@pytest.mark.parametrize(
-    "drive, text",
-    [
-        ("{left: left, right: rigth}", 'drive: right: unknown joint "rigth"; did you mean "right"?'),
-        ("{left: left, right: socket}", 'drive: joint "socket" is a spherical joint, not revolute'),
-        ("{left: [], right: right}", "drive: left has no joint"),
-        ("{left: [left, right], right: right}", "drive: a joint is on both sides"),
-    ],
-)
+@pytest.mark.parametrize("drive, text", cases("wrong_drives_are_refused"))
 def test_wrong_drives_are_refused(drive, text):
     with pytest.raises(SceneError, match=text.replace("?", r"\?")):
         scene_from_text(load_scene("diff_drive").text.replace("{left: left, right: right}", drive), source="t")
@@ -79,15 +71,7 @@ def test_a_robot_drives_a_circle_and_stops_without_commands(client, tmp_path):
 
 
 ROVER = text_of("rover.urdf")
-BESIDE = """
-robot: rover.urdf
-base: floating
-roll: {left-wheel: 0.08, right-wheel: 0.08}
-joints: [{name: skid, type: ball_on_plane, parent: world, child: caster, child_frame: {}, radius: 0.05,
-  frictionless: true}]
-driven: {left-wheel: , right-wheel: }
-drive: {left: left-wheel, right: right-wheel}
-"""
+BESIDE = text_of("rover.yaml")
 
 
 @pytest.mark.turn(3)

@@ -12,6 +12,7 @@ from machine_logs import DELAY, log_of, machine
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from rosbags.rosbag2 import StoragePlugin
+from scene_files import text_of
 from scipy.spatial.transform import Rotation
 
 from liegroup_core import Simulation, load_scene
@@ -187,13 +188,7 @@ def test_sensors_of_the_scene_are_read_as_they_measure(tmp_path):
     assert turned.values[:, 0] == pytest.approx([0.05, 0.15])
 
 
-BODY = """
-name: thrown
-gravity: [0, 0, -9.81]
-bodies: [{name: box, mass: 2, inertia: [0.1, 0.2, 0.3], angular_velocity: [2, 0.3, 0.1], linear_velocity: [1, 0, 5]}]
-sensors:
-  - {name: imu, type: imu, body: box, frame: {position: [0.1, 0, 0], rotation_vector: [0, 0, 0.4]}}
-"""
+BODY = text_of("thrown_compare.yaml")
 
 
 @pytest.mark.turn(3)

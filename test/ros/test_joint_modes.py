@@ -56,13 +56,7 @@ def test_contacts_report_slip_and_stick():
 
     The slip speed is v - 7/2 mu g t, as the force is mu m g all the time. Its events have errors of 1e-9 m over 1 m/s.
     """
-    text = """name: skid
-gravity: [0, 0, -9.81]
-bodies:
-  - {name: ball, shape: {type: sphere, radius: 0.1, mass: 2}, position: [0, 0, 0.0999], linear_velocity: [1, 0, 0]}
-forces:
-  - {name: floor, type: contact, body: ball, sinks: 1.0e-4, restitution: 0.5, friction: 0.4, slip: 1.0e-3}
-"""
+    text = text_of("skid.yaml")
     simulation = Simulation(scene_from_text(text), accuracy=1e-9, quiet=True)
     reports = JointReports(simulation)
     assert not reports.begin()
@@ -78,13 +72,7 @@ forces:
 
 
 def test_a_contact_slips_where_all_points_that_press_do():
-    text = """name: feet
-gravity: [0, 0, -9.81]
-bodies: [{name: foot, mass: 1, inertia: [1, 1, 1]}]
-forces:
-  - {name: floor, type: contact, body: foot, stiffness: 1000, damping: 0, friction: 0.5, slip: 1.0e-3,
-     shape: {type: hull, points: [[0, 0, 0], [1, 0, 0]]}}
-"""
+    text = text_of("feet.yaml")
     modes = make_layout(scene_from_text(text)).touching.modes
     yes, no = True, False
     cases = {APART: [(no, yes), (no, no)], STICKS: [(yes, yes), (yes, no)], SLIPS: [(yes, yes), (no, no)]}

@@ -15,6 +15,7 @@ from geometry_msgs.msg import WrenchStamped
 from mcap.reader import make_reader
 from node_process import NodeProcess, figures_of, python, refusal, stamp_in, stamp_of
 from rosgraph_msgs.msg import Clock
+from scene_files import cases, text_of
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -126,13 +127,7 @@ while rclpy.ok():
     executor.spin_once(timeout_sec=1.0)
 """
 FAST, SLOW = ("joint_commands", 1000.0), ("wrench/slow", 100.0)
-SERVO = """
-name: rig
-gravity: [0, 0, 0]
-bodies: [{name: arm, mass: 2, inertia: [1, 1, 1]}]
-joints: [{name: hinge, type: revolute, parent: world, child: arm, child_frame: {}}]
-forces: [{name: servo, type: servo, joint: hinge, stiffness: 100, damping: 20}]
-"""
+SERVO = text_of("rig_lockstep.yaml")
 BOTH = f"{FAST[0]}@1000,{SLOW[0]}@100"
 SCENE = {"scene": "double_pendulum", "method": "rkmk4", "step": 1e-3, "real_time_factor": 0.0, "lockstep": BOTH}
 
@@ -368,14 +363,7 @@ def test_a_plugin_of_ros2_control_that_blocks_is_exact(client, tmp_path):
     assert found[0] == found[1]
 
 
-@pytest.mark.parametrize(
-    ("given", "text"),
-    [
-        ({"lockstep": "joint_commands"}, "TOPIC@RATE"),
-        ({"lockstep": "commands@100"}, "~/commands is no input with time stamps"),
-        ({"lockstep": "wrench@300", "step": 1e-3}, "must be a multiple of the step, 0.001 s"),
-    ],
-)
+@pytest.mark.parametrize(("given", "text"), cases("wrong_parameters"))
 def test_wrong_parameters(capfd, given, text):
     assert text in refusal(capfd, SCENE | given)
 

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from rclpy.serialization import serialize_message
 from rosbags.typesys import Stores, get_typestore
 from rosgraph_msgs.msg import Clock
+from scene_files import cases
 from std_msgs.msg import String
 
 from liegroup_core.forces.commands import Command
@@ -32,14 +33,7 @@ from liegroup_sim_ros.messages.codecs import (
 STAMPS = st.integers(0, (2**31 - 1) * 1_000_000_000 + 999_999_999)
 FRAMES = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=40)
 FLOATS = st.floats(allow_nan=False)
-TYPES = [
-    "geometry_msgs/msg/PoseStamped",
-    "geometry_msgs/msg/TwistStamped",
-    "geometry_msgs/msg/WrenchStamped",
-    "rosgraph_msgs/msg/Clock",
-    "rcl_interfaces/msg/Log",
-    "diagnostic_msgs/msg/DiagnosticArray",
-]
+TYPES = cases("messages_types")
 
 
 def floats(count):

@@ -24,7 +24,7 @@ from nav_msgs.msg import Odometry
 from node_process import NodeProcess, figures_of, on_grid, push_command, refusal, stamp_ns, stamp_of
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
-from scene_files import text_of
+from scene_files import cases, text_of
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Float64MultiArray, String
@@ -42,19 +42,7 @@ from liegroup_sim_ros.recording.read import read_recording
 STEP_NS = 1_000_000
 NODE, PREFIX = "/shown", "robot1/"
 # Steps from one message to the next; they have no common period but the step.
-PERIODS = {
-    "publish_rate": 10,
-    "odometry_rate": 20,
-    "pose_with_covariance_rate": 100,
-    "velocity_rate": 25,
-    "joint_state_rate": 4,
-    "reaction_rate": 200,
-    "contact_rate": 50,
-    "sensor_rate": 250,
-    "marker_rate": 40,
-    "state_rate": 125,
-    "clock_rate": 5,
-}
+PERIODS = cases("node_topics_periods")
 ARM = text_of("arm_node_topics.yaml")
 
 

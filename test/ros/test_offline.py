@@ -11,8 +11,6 @@ import numpy as np
 import pytest
 from golden import few_steps
 from mcap.reader import make_reader
-from rcl_interfaces.msg import Log
-from rclpy.serialization import deserialize_message, serialize_message
 from scene_files import text_of
 from volume import VERIFY
 
@@ -20,7 +18,7 @@ from liegroup_core import Simulation, load_scene
 from liegroup_sim_ros.analysis.analyse import analyse
 from liegroup_sim_ros.commands.main import main
 from liegroup_sim_ros.messages import topics
-from liegroup_sim_ros.messages.codecs import LogCodec, WrenchStampedCodec
+from liegroup_sim_ros.messages.codecs import WrenchStampedCodec
 from liegroup_sim_ros.messages.sensors import sensors
 from liegroup_sim_ros.numbers import counted
 from liegroup_sim_ros.playback.resimulate import resimulate
@@ -293,16 +291,6 @@ def test_a_recording_needs_interface_packages_but_not_rclpy(tmp_path):
     assert run(hidden, tmp_path / "b.npz").returncode == 0
 
 
-@pytest.mark.parametrize("name, text", [("", ""), ("start", "abc"), ("fault", "at ω = 1")])
-def test_events_are_encoded_like_ros_strings(name, text):
-    data = LogCodec.encode(3_000_000_007, LogCodec.ERROR, name, text)
-    message = deserialize_message(data, Log)
-    assert (message.stamp.sec, message.stamp.nanosec) == (3, 7)
-    assert (message.level, message.name, message.msg, message.line) == (40, name, text, 0)
-    # The bytes in between are whatever was in memory there; ours are zero.
-    assert len(serialize_message(message)) == len(data)
-
-
 @pytest.mark.parametrize(
     ("settings", "said"),
     [
@@ -401,14 +389,7 @@ def test_a_run_writes_the_reactions_on_request(tmp_path, capsys):
 
 def test_a_run_writes_the_efforts_of_forces_at_joints_beside_the_reactions(tmp_path):
     scene = tmp_path / "driven.yaml"
-    scene.write_text(
-        "name: driven\ngravity: [0, 0, 0]\nbodies: [{name: arm, mass: 1, inertia: [1, 1, 1]}, "
-        "{name: cart, mass: 2, inertia: [1, 1, 1]}]\njoints:\n"
-        "  - {name: hinge, type: revolute, parent: world, child: arm, child_frame: {}}\n"
-        "  - {name: rail, type: prismatic, parent: arm, child: cart, child_frame: {axis: [1, 0, 0]}}\n"
-        "forces:\n  - {name: drive, type: motor, joint: hinge, torque: 2}\n"
-        "  - {name: spring, type: linear_spring_damper, joint: rail, stiffness: 5, rest_position: 1}\n"
-    )
+    scene.write_text(text_of("driven_offline.yaml"))
     arguments = ["run", str(scene), "--method", "rkmk4", "--step", "1e-3", "--every", "100"]
     for name in ("run.npz", "run.csv", "run.mcap"):
         out = ["--duration", "0.1", "--reactions", "--out", str(tmp_path / name)]

@@ -9,7 +9,7 @@ from geometry_msgs.msg import PoseStamped, TwistStamped
 from node_process import NodeProcess, stamp_ns
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter
-from scene_files import text_of
+from scene_files import cases, text_of
 from sensor_msgs.msg import JointState
 
 from liegroup_sim_ros.commands.main import main
@@ -162,56 +162,7 @@ def test_a_force_in_world_axes_at_a_point_turns_the_body_towards_it(own):
     assert twist[2] == pytest.approx(spin, abs=1e-5)
 
 
-@pytest.mark.parametrize(
-    "service, values, text",
-    [
-        ("set_state", [], "no values are given"),
-        ("set_state", [("leg/pose", [0.0] * 7)], "unknown body 'leg'; choose one of: arm, stone, crank, slide"),
-        ("set_state", [("stone/place", [0.0])], "unknown name 'stone/place'"),
-        ("set_state", [("stone/pose", [0.0] * 7)], "its quaternion has norm 0, not 1"),
-        ("set_state", [("stone/twist", [0.0] * 5)], "stone/twist must be 6 finite numbers"),
-        ("set_state", [("stone/twist", [float("nan")] * 6)], "must be 6 finite numbers"),
-        ("set_state", [("stone/twist", "fast")], "must be 6 finite numbers, got 'fast'"),
-        ("set_state", [("arm/pose", [0.0, 0.0, 0.5, 0.0, 0.0, 0.0, 1.0])], "violation is 0.5 m"),
-        ("set_state", [("arm/twist", [0.0, 0.0, 0.0, 0.0, 3.0, 0.0])], "violates this joint by 3 m/s"),
-        ("set_state", [("stone/twist", [0.0] * 6)] * 2, "a name occurs twice"),
-        ("set_state", [("hinge/position", 0.1)], "'hinge' is not a joint with one coordinate"),
-        ("set_state", [("axle/position", float("inf"))], "axle/position must be a finite number"),
-        ("set_state", [("axle/velocity", "1")], "axle/velocity must be a finite number, got '1'"),
-        ("set_state", [("axle/velocity", True)], "axle/velocity must be a finite number, got True"),
-        (
-            "set_state",
-            [("axle/position", 0.5), ("crank/pose", [9.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])],
-            "give fewer coordinates, or the nearest ones: axle 0",
-        ),
-        ("apply_wrench", [("body", "stone"), ("force", [1.0] * 3)], "duration must be a number"),
-        ("apply_wrench", [("body", "stone"), ("duration", -1.0)], "duration must be a number"),
-        ("apply_wrench", [("duration", 1.0)], "unknown body ''"),
-        ("apply_pull", [("body", "stone"), ("to", [1.0] * 2), ("duration", 1.0)], "to must be 3 finite numbers"),
-        (
-            "apply_pull",
-            [("body", "stone"), ("stiffness", -1.0), ("duration", 1.0)],
-            "stiffness must be a finite number",
-        ),
-        ("apply_pull", [("body", "stone"), ("force", [1.0] * 3)], "unknown name 'force'"),
-        ("apply_wrench", [("body", "stone"), ("size", 1.0)], "unknown name 'size'"),
-        (
-            "apply_wrench",
-            [("body", "stone"), ("duration", 1.0), ("axes", "sky")],
-            "axes must be 'body' or 'world', got 'sky'",
-        ),
-        (
-            "apply_wrench",
-            [("body", "stone"), ("duration", 1.0), ("force", [1e60] * 3), ("point", [1e60] * 3)],
-            "point times force must be 9 finite numbers",
-        ),
-        (
-            "apply_wrench",
-            [("body", "stone"), ("duration", 1.0), ("force", [float("inf")] * 3)],
-            "force must be 3 finite numbers",
-        ),
-    ],
-)
+@pytest.mark.parametrize("service, values, text", cases("wrong_values_are_refused_and_nothing_changes"))
 def test_wrong_values_are_refused_and_nothing_changes(own, service, values, text):
     assert own.call("set_state", [("stone/twist", [0.0] * 6)])[0]
     before = own.step(1)  # at rest

@@ -268,15 +268,7 @@ def test_shapes_of_mjcf_are_those_of_the_compiled_model(tmp_path, monkeypatch):
     assert (drawn["a"], drawn["b"], drawn["c"]) == ("rgb(229,26,26)", "--orange", "rgb(255,127,32)")
 
 
-COLLADA = """<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1"><asset>
-<unit name="inch" meter="0.0254"/></asset><library_geometries><geometry id="g"><mesh><source id="s">
-<float_array id="a" count="12">10 5 1 16 5 1 10 8 1 10 5 3</float_array><technique_common>
-<accessor source="#a" count="4" stride="3"><param name="X" type="float"/><param name="Y" type="float"/>
-<param name="Z" type="float"/></accessor></technique_common></source>
-<vertices id="v"><input semantic="POSITION" source="#s"/></vertices><triangles count="4">
-<input semantic="VERTEX" source="#v" offset="0"/><p>0 2 1 0 1 3 1 2 3 2 0 3</p></triangles></mesh></geometry>
-</library_geometries><library_visual_scenes><visual_scene id="vs"><node><instance_geometry url="#g"/></node>
-</visual_scene></library_visual_scenes><scene><instance_visual_scene url="#vs"/></scene></COLLADA>"""
+COLLADA = text_of("textured.dae")
 COLOURED = text_of("coloured.urdf")
 COLOURED_SDF = """<sdf version="1.9"><model name="m"><link name="l"><visual name="v">
 <transparency>0.5</transparency><geometry><ellipsoid><radii>0.1 0.2 0.3</radii></ellipsoid></geometry>

@@ -7,6 +7,7 @@ by walking through the message (`gaps`), independently of the code under test.
 
 import copy
 import math
+import struct
 from types import SimpleNamespace
 
 import numpy as np
@@ -28,7 +29,7 @@ from nav_msgs.msg import Odometry
 from rcl_interfaces.msg import Log
 from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.typesys import Stores, get_typestore
-from scene_files import text_of
+from scene_files import cases, text_of
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Float32MultiArray, Float64, Float64MultiArray, Int64MultiArray
@@ -46,19 +47,9 @@ from liegroup_sim_ros.messages.cdr import Template
 from liegroup_sim_ros.messages.codecs import LogCodec, MessageError
 from liegroup_sim_ros.messages.markers import Markers
 
-SIZES = {
-    "boolean": 1,
-    "octet": 1,
-    "uint8": 1,
-    "int8": 1,
-    "uint16": 2,
-    "int32": 4,
-    "uint32": 4,
-    "float": 4,
-    "double": 8,
-    "int64": 8,
-    "uint64": 8,
-}
+FORMS = {"boolean": "B", "octet": "c", "uint8": "B", "int8": "b", "uint16": "H", "int32": "i", "uint32": "I"}
+FORMS |= {"float": "f", "double": "d", "int64": "q", "uint64": "Q"}
+SIZES = {kind: struct.calcsize(form) for kind, form in FORMS.items()}
 STAMP = 12_345_678_901
 
 SCENE = text_of("shapes.yaml")
@@ -126,21 +117,6 @@ def assert_same_bytes(payload, message):
     assert payload == bytes(expected)
 
 
-FORMS = {
-    "boolean": "B",
-    "octet": "c",
-    "uint8": "B",
-    "int8": "b",
-    "uint16": "H",
-    "int32": "i",
-    "uint32": "I",
-    "float": "f",
-    "double": "d",
-    "int64": "q",
-    "uint64": "Q",
-}
-
-
 def template_of(message, template=None):
     """Template with the fields of a message as constants."""
     template = template or Template()
@@ -169,14 +145,9 @@ def template_of(message, template=None):
 
 TEXT = st.text("ab", max_size=9)
 SOME = st.lists(st.floats(-9, 9), max_size=2)
-POINTS = st.builds(
-    JointTrajectoryPoint,
-    positions=SOME,
-    velocities=SOME,
-    accelerations=SOME,
-    effort=SOME,
-    time_from_start=st.builds(Duration, sec=st.integers(0, 9)),
-)
+AFTER = st.builds(Duration, sec=st.integers(0, 9))
+VALUES = dict.fromkeys(("positions", "velocities", "accelerations", "effort"), SOME)
+POINTS = st.builds(JointTrajectoryPoint, time_from_start=AFTER, **VALUES)
 
 
 @given(
@@ -196,6 +167,10 @@ def test_templates_of_any_message_with_empty_sequences_and_texts(message):
 
 def numbers(message, names):
     return [getattr(message, name) for name in names]
+
+
+def twist_of(twist):
+    return numbers(twist.angular, "xyz") + numbers(twist.linear, "xyz")
 
 
 def check_pose(pose, matrix):
@@ -230,21 +205,24 @@ def test_pose_and_twist_of_every_body(layout, sample):
             assert (header.stamp.sec, header.stamp.nanosec) == divmod(STAMP, 10**9)
         check_pose(pose.pose, sample.poses[body])
         assert numbers(pose.pose.orientation, "xyzw") == sample.quaternions[body].tolist()
-        assert numbers(twist.twist.angular, "xyz") + numbers(twist.twist.linear, "xyz") == sample.twists[body].tolist()
+        assert twist_of(twist.twist) == sample.twists[body].tolist()
 
 
-def test_odometry(layout, sample):
-    for body, (topic, kind, encode) in zip(
-        layout.body_names, sample_messages.odometry(layout, "map", "left/"), strict=True
-    ):
+def test_odometry_and_velocity(layout, sample):
+    topics = (encoders(layout, "map", "left/") for encoders in (sample_messages.odometry, sample_messages.velocities))
+    for body, (topic, kind, encode), (*_, velocity) in zip(layout.body_names, *topics, strict=True):
         assert (topic, kind) == (f"~/{body}/odometry", "nav_msgs/msg/Odometry")
         message = as_ros_serializes(encode(STAMP, sample), Odometry)
         assert (message.header.frame_id, message.child_frame_id) == ("map", f"left/{body}")
         assert (message.header.stamp.sec, message.header.stamp.nanosec) == (12, 345_678_901)
         check_pose(message.pose.pose, sample.poses[body])
-        twist = message.twist.twist
-        assert numbers(twist.angular, "xyz") + numbers(twist.linear, "xyz") == sample.twists[body].tolist()
+        assert twist_of(message.twist.twist) == sample.twists[body].tolist()
         assert not message.pose.covariance.any() and not message.twist.covariance.any()
+        message = as_ros_serializes(velocity(STAMP, sample), VelocityStamped)
+        assert (
+            message.header.frame_id == message.body_frame_id == f"left/{body}" and message.reference_frame_id == "map"
+        )
+        assert twist_of(message.velocity) == sample.twists[body].tolist()
 
 
 def test_covariances_are_squares_of_the_estimated_errors(layout, sample):
@@ -261,15 +239,7 @@ def test_covariances_are_squares_of_the_estimated_errors(layout, sample):
             assert np.array_equal(np.reshape(found, (6, 6)), np.diag(np.repeat(variances, 3)))
 
 
-@pytest.mark.parametrize(
-    "errors, bound, pose, twist",
-    [
-        (math.nan, (0.5, 0.25), (0.25, 0.0625), 1e10),
-        (math.nan, None, (1e10, 1e10), 1e10),
-        (math.inf, (0.5, 0.25), (1e10, 1e10), 1e10),
-        (1e200, None, (1e10, 1e10), 1e10),
-    ],
-)
+@pytest.mark.parametrize("errors, bound, pose, twist", cases("variances_of_unknown_errors_are_finite"))
 def test_variances_of_unknown_errors_are_finite(layout, sample, errors, bound, pose, twist):
     """Before the first estimate those of poses are what the accuracy allows."""
     estimated = copy.copy(sample)
@@ -306,12 +276,9 @@ def test_all_messages_of_a_run_have_finite_variances(settings):
 def test_a_pose_with_covariance_is_that_of_the_odometry(layout, sample):
     estimated = copy.copy(sample)
     estimated.errors = 0.5 ** np.arange(4.0 * len(layout.body_names)).reshape(-1, 4)
-    for body, (topic, kind, encode), (_, _, odometry) in zip(
-        layout.body_names,
-        sample_messages.poses_with_covariance(layout, "map", "left/"),
-        sample_messages.odometry(layout, "map", "left/"),
-        strict=True,
-    ):
+    kinds = sample_messages.poses_with_covariance, sample_messages.odometry
+    topics = (encoders(layout, "map", "left/") for encoders in kinds)
+    for body, (topic, kind, encode), (_, _, odometry) in zip(layout.body_names, *topics, strict=True):
         assert topic == f"~/{body}/pose_with_covariance"
         assert kind == "geometry_msgs/msg/PoseWithCovarianceStamped"
         for each in (sample, estimated):
@@ -344,21 +311,6 @@ def test_estimated_errors_are_decoded_to_the_same_bits(layout, sample, little_en
             estimates.decode_rows(np.array(payloads), others)
     with pytest.raises(MessageError, match="truncated"):
         estimates.decode_rows(np.array(payloads)[:, :-8], bodies)
-
-
-def test_velocity(layout, sample):
-    topics = sample_messages.velocities(layout, "world", "left_")
-    for body, (_, _, encode) in zip(layout.body_names, topics, strict=True):
-        message = as_ros_serializes(encode(STAMP, sample), VelocityStamped)
-        assert (message.header.frame_id, message.body_frame_id, message.reference_frame_id) == (
-            f"left_{body}",
-            f"left_{body}",
-            "world",
-        )
-        assert (
-            numbers(message.velocity.angular, "xyz") + numbers(message.velocity.linear, "xyz")
-            == sample.twists[body].tolist()
-        )
 
 
 @pytest.mark.parametrize("own", [(), (1,)])
@@ -408,12 +360,15 @@ def test_joint_states(layout, sample):
 
 
 def test_joint_states_have_the_efforts_that_act():
+    """And angle and rate, bitwise, through the same code path as in the node."""
     simulation = Simulation(scene_from_text(SCENE, "shapes"), "rkmk4", 1e-3)
     simulation.apply_effort("rail", -2.5)
     simulation.advance(1)
     _, _, encode = only(sample_messages.joint_states(simulation.layout, "world"))
-    message = as_ros_serializes(encode(STAMP, simulation.sample()), JointState)
+    sample = simulation.sample()
+    message = as_ros_serializes(encode(simulation.time_ns, sample), JointState)
     assert np.isnan(message.effort[0]) and message.effort[1] == -2.5
+    assert dict(zip(message.name, zip(message.position, message.velocity))) == sample.joint_coordinates
 
 
 def test_joint_states_of_a_scene_without_such_joints():
@@ -483,12 +438,8 @@ def test_markers(layout, sample):
     # A box of 21.6 kg with edges 0.1, 0.2 and 0.4 m has these moments; in ascending order of them
     # the edges are 0.4, 0.2 and 0.1 m.
     plain, brick, ball, bar = (found["bodies", i] for i in range(4))
-    assert [marker.type for marker in (plain, brick, ball, bar)] == [
-        Marker.CUBE,
-        Marker.CUBE,
-        Marker.SPHERE,
-        Marker.CYLINDER,
-    ]
+    kinds = [Marker.CUBE, Marker.CUBE, Marker.SPHERE, Marker.CYLINDER]
+    assert [marker.type for marker in (plain, brick, ball, bar)] == kinds
     assert sorted(numbers(plain.scale, "xyz")) == pytest.approx([0.1, 0.2, 0.4], rel=1e-12)
     assert numbers(plain.pose.position, "xyz") == pytest.approx(
         (sample.poses["plain"] @ [0.1, 0.2, 0.3, 1.0])[:3].tolist()
@@ -538,23 +489,10 @@ def test_diagnostics(number, text, state):
         assert float(values["number"]) == pytest.approx(number, rel=1e-8)
 
 
-@pytest.mark.parametrize(
-    "broken, text",
-    [
-        ({}, "running"),
-        ({"accurate_until_s": 2.5}, "accurate until t = 2.5 s only"),
-        ({"accurate_until_s": 2.5, "predictable_until_s": 4.0}, "not predictable from t = 4 s on"),
-        ({"real_time_factor": 0.5}, "too slow: real-time factor 0.5 of 1"),
-    ],
-)
+@pytest.mark.parametrize("broken, text", cases("diagnostics_warn_if_what_was_promised_does_not_hold"))
 def test_diagnostics_warn_if_what_was_promised_does_not_hold(broken, text):
-    figures = {
-        "state": "running",
-        "real_time_factor_wanted": 1.0,
-        "real_time_factor": 1.0,
-        "accurate_until_s": math.inf,
-        "predictable_until_s": math.inf,
-    }
+    figures = {"state": "running", "accurate_until_s": math.inf, "predictable_until_s": math.inf}
+    figures |= {"real_time_factor_wanted": 1.0, "real_time_factor": 1.0}
     message = diagnostics.encode(STAMP, "/node: simulation", figures | broken)
     (status,) = as_ros_serializes(message, DiagnosticArray).status
     assert status.message == text
@@ -574,16 +512,6 @@ def test_a_template_requires_every_slot():
     template.slot("2d")
     with pytest.raises(ValueError):
         template.pack()
-
-
-def test_joint_states_follow_a_simulation():
-    """Angle and rate of a pendulum, bitwise, through the same code path as in the node."""
-    simulation = Simulation(load_scene("double_pendulum"))
-    _, _, encode = only(sample_messages.joint_states(simulation.layout, "world"))
-    simulation.advance(100)
-    sample = simulation.sample()
-    message = deserialize_message(encode(simulation.time_ns, sample), JointState)
-    assert dict(zip(message.name, zip(message.position, message.velocity))) == (sample.joint_coordinates)
 
 
 SENSED = text_of("sensed_sample_messages.yaml")

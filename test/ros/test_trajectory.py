@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.serialization import serialize_message
-from scene_files import text_of
+from scene_files import cases, text_of
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -249,17 +249,7 @@ def test_refused_trajectories_are_one_line(layout, changed, reason):
     assert reader.accepted == 0 and reader.refused[reason] == 1
 
 
-@pytest.mark.parametrize(
-    "points, fits",
-    [
-        ([(0.5, (0.1, 0.2)), (1.0, (0.3, 0.1))], True),  # 0.4 m/s on average, from 0 m
-        ([(0.0, (0.09, 0.0)), (1.0, (0.3, 0.1))], True),
-        ([(0.0, (0.11, 0.0)), (1.0, (0.3, 0.1))], False),  # at once
-        ([(0.0, (0.0, 0.0)), (0.01, (0.49, 0.1))], True),
-        ([(0.0, (0.0, 0.0)), (0.01, (0.51, 0.1))], False),  # 0.1 in 2 ms
-        ([(0.001, (0.0, 0.11)), (1.0, (0.0, 0.0))], False),
-    ],
-)
+@pytest.mark.parametrize("points, fits", cases("a_trajectory_that_jumps_is_refused"))
 def test_a_trajectory_that_jumps_is_refused(layout, points, fits):
     """The first segment begins at the present positions."""
     reader, jumps = TrajectoryInput(layout), Jumps(0.1, {"pin": 0.0, "rail": 0.0}, 0.002)

@@ -31,15 +31,7 @@ def test_the_frame_id_selects_body_source_and_axes(kind, body, frame, source, ax
     assert push.name == (body or frame.partition("/")[0])
 
 
-@pytest.mark.parametrize(
-    "kind, body, frame, source, axes",
-    [
-        ("wrench", None, "map/top", "wrench/top/", "body"),
-        ("persistent", None, "map/left/fan", "persistent/left/fan/", "body"),
-        ("body", "top", "map/top/fan", "body/top/fan/", "body"),
-        ("body", "top", "map/world", "body/top/", "world"),
-    ],
-)
+@pytest.mark.parametrize("kind, body, frame, source, axes", cases("body_frames_have_a_prefix"))
 def test_body_frames_have_a_prefix(kind, body, frame, source, axes):
     push = read(frame, kind, body, prefix="map/")
     assert (push.source, push.axes) == (source, axes)

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from scene_files import text_of
+from scene_files import filled, text_of
 
 from liegroup_core.engine import Engine
 from liegroup_core.scene.load import scene_from_text
@@ -173,22 +173,7 @@ def test_nut_on_a_bolt(pitch):
 
     About the axis the nut has the inertia J + m h^2 and the torque m g h - friction.
     """
-    text = f"""
-name: nut
-gravity: [0, 0, -9.81]
-bodies:
-  - {{name: nut, mass: 3.0, inertia: [0.1, 0.1, 0.002]}}
-joints:
-  - name: thread
-    type: screw
-    pitch: {pitch}
-    parent: world
-    child: nut
-    parent_frame: {{}}
-    child_frame: {{}}
-    limits: {{{"lower: -12" if pitch > 0 else "upper: 12"}, restitution: 0.4}}
-    friction: {{coulomb: 0.2, static: 0.3}}
-"""
+    text = filled(text_of("nut_backlash.yaml"), pitch=pitch, limit="lower: -12" if pitch > 0 else "upper: 12")
     engine = Engine(scene_from_text(text), "rkmk4", 1e-3)
     engine.advance(2000)
     events = engine.drain_events()

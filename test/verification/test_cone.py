@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import yaml
 from convergence import fitted_order
+from scene_files import filled, text_of
 from scipy.spatial.transform import Rotation
 
 from liegroup_core.engine import Engine
@@ -119,16 +120,7 @@ def test_swinging_through_the_axis_of_the_cone():
     It hits the cone on both sides as a hinge its two stops.
     """
     engine = Engine(top(0.3, [2.5, 0.0, 0.0], {"restitution": 0.9}), "rkmk8", 5e-3)
-    text = f"""
-name: hinge
-gravity: [0, 0, -9.81]
-bodies:
-  - {{name: top, mass: {MASS}, inertia: [0.05, 0.05, {ALONG}], com: [0, 0, {-ARM}],
-      rotation_vector: [0.3, 0, 0], angular_velocity: [2.5, 0, 0]}}
-joints:
-  - {{name: hinge, type: revolute, parent: world, child: top, parent_frame: {{axis: [1, 0, 0]}},
-      child_frame: {{axis: [1, 0, 0]}}, limits: {{lower: {-CONE}, upper: {CONE}, restitution: 0.9}}}}
-"""
+    text = filled(text_of("hinge_on_a_cone.yaml"), mass=MASS, along=ALONG, arm=-ARM, low=-CONE, low2=CONE)
     hinge = Engine(scene_from_text(text), "rkmk8", 5e-3)
     events = []
     for each in (engine, hinge):

@@ -8,10 +8,13 @@ import engine
 import mechanisms
 import numpy as np
 import pytest
+import random_mechanisms
 from convergence import order_by_count
 
-from liegroup_core import Scene, Simulation, SimulationError, load_scene
+from liegroup_core import Simulation, SimulationError, load_scene
+from liegroup_core.engine import Engine
 from liegroup_core.forces.external import no_wrenches
+from liegroup_core.mechanism.arrays import PlaneModel
 from liegroup_core.methods.rattle.rattle import SUBSTEPS
 from liegroup_core.methods.table import METHODS
 from liegroup_core.reference import integrate
@@ -30,18 +33,13 @@ RATES = {2: (256, 512, 1024), 4: (64, 128, 256), 8: (40, 48, 64)}
 def driven():
     """(loop with gravity, springs, dampers, drag and a motor; its reference state at TIME)."""
     scene = mechanisms.named("loop of hinges and balls")
-    scene = Scene(
-        name="driven",
-        gravity=scene.gravity,
-        bodies=scene.bodies,
-        joints=scene.joints,
-        forces=[
-            *scene.forces,
-            Drag(name="air", body="b", linear=0.4, angular=0.2),
-            TorsionalSpringDamper(name="wound", joint="j0", stiffness=2.0, damping=0.5),
-            Motor(name="drive", joint="j3", torque=0.3, rate_limit=20.0),
-        ],
-    )
+    forces = [
+        *scene.forces,
+        Drag(name="air", body="b", linear=0.4, angular=0.2),
+        TorsionalSpringDamper(name="wound", joint="j0", stiffness=2.0, damping=0.5),
+        Motor(name="drive", joint="j3", torque=0.3, rate_limit=20.0),
+    ]
+    scene = scene.remade(forces=forces)
     trajectory, uncertainty = integrate(scene, *Simulation(scene, method="rkmk4").state(), [TIME])
     assert uncertainty.attitude.max() < 1e-11
     return scene, trajectory
@@ -69,26 +67,41 @@ def test_order_with_velocity_dependent_forces(driven, method, group):
         assert order_by_count(RATES[order], errors) == pytest.approx(order, abs=0.2)
 
 
-@pytest.mark.parametrize("name", ["net", "every kind", "floating"])
+def in_a_plane(name):
+    """Scene whose motion in relative coordinates is that in a plane."""
+    if name == "hinges":
+        return mechanisms.chain(6, "revolute")
+    return random_mechanisms.random_mechanism(name, 0)[0] if name == "planar loops" else load_scene(name)
+
+
+IN_PLANE = ("four_bar", "double_pendulum", "planar loops", "hinges")
+
+
+@pytest.mark.parametrize("name, group, step", [
+    *((name, group, 2e-3) for name in ("net", "every kind", "floating") for group in GROUPS),
+    *((name, "relative", 1e-3) for name in IN_PLANE),
+])  # fmt: skip
 @pytest.mark.parametrize("method", CONSTRAINED)
-@pytest.mark.parametrize("group", GROUPS)
-@pytest.mark.volume(3)
-def test_backward_steps_undo_forward_steps(method, name, group):
+@pytest.mark.volume(4)
+def test_backward_steps_undo_forward_steps(method, name, group, step):
     """With dampers. A method that is not symmetric misses the start by O(h^3).
 
     What is left are roundings. A closed joint is closed to 16 units of lengths of some metres,
     1e-14, and a velocity to 2/h times that, 1e-11; three steps each way.
     """
-    simulation = Simulation(mechanisms.named(name), method=method, step=2e-3, group=group)
+    scene = in_a_plane(name) if name in IN_PLANE else mechanisms.named(name)
+    simulation = Engine(scene, method, step, group, quiet=True)
+    assert isinstance(simulation.layout.relative, PlaneModel) == (name in IN_PLANE)
     simulation.advance(2)  # from here on joints are closed as the method closes them
     pose, twist = simulation.state()
     simulation.advance(3)
     there_pose, there_twist = simulation.state()
-    assert np.abs(there_pose - pose).max() > 1e-3
-    external = no_wrenches(simulation.layout.offsets)
-    assert simulation._integrator.advance(-2e-3, 3, there_pose, there_twist, external) == (3, 0)
-    assert np.abs(there_pose - pose).max() <= 6e-14
-    assert np.abs(there_twist - twist).max() <= 6e-11
+    assert name in IN_PLANE or np.abs(there_pose - pose).max() > 1e-3
+    external = simulation.inputs.acting.external
+    assert simulation._integrator.advance(-step, 3, there_pose, there_twist, external) == (3, 0)
+    size = max(1.0, simulation.layout.size) if name in IN_PLANE else 1.0
+    assert np.abs(there_pose - pose).max() <= 6e-14 * size
+    assert np.abs(there_twist - twist).max() <= 2e-3 / step * 6e-11 * size
 
 
 def test_rkmk4_is_not_symmetric():
@@ -117,15 +130,25 @@ def test_position_and_velocity_constraints_hold_to_round_off(name, group):
             assert np.abs(J @ simulation.state()[1].ravel()).max() <= 100 * UNIT * max(1.0, speed)
 
 
+FLOATING = {
+    "floating": (5, *mechanisms.MECHANISMS["floating"], 0),
+    **{
+        " ".join(kinds): (8, links, (), 2)
+        for kinds in (("revolute", "spherical", "universal"), ("screw", "planar"))
+        for links in [[("world", "b0", None)] + [(f"b{i // 2}", f"b{i + 1}", kinds[i % len(kinds)]) for i in range(4)]]
+    },
+}
+
+
+@pytest.mark.parametrize("name", FLOATING)
 @pytest.mark.parametrize("group", GROUPS)
 @pytest.mark.parametrize("method", CONSTRAINED)
-@pytest.mark.turn(3)
-def test_momentum_of_a_free_linkage_is_conserved_to_round_off(method, group):
-    """Floating closed loop without gravity. Tolerance: a few same-sign round-offs per step."""
-    links, loops = mechanisms.MECHANISMS["floating"]
-    made = mechanisms.mechanism(np.random.default_rng(5), links, springs=0, loops=loops)
-    scene = Scene(name="floating", gravity=(0, 0, 0), bodies=made.bodies, joints=made.joints)
-    simulation = Simulation(scene, method=method, step=4e-3, group=group)
+@pytest.mark.volume(4)
+def test_momentum_of_a_free_linkage_is_conserved_to_round_off(method, group, name):
+    """Floating loop or tree without gravity. Tolerance: a few same-sign round-offs of every link per substep."""
+    seed, links, loops, springs = FLOATING[name]
+    made = mechanisms.mechanism(np.random.default_rng(seed), links, springs=springs, loops=loops)
+    simulation = Simulation(made.remade(gravity=(0, 0, 0)), method=method, step=4e-3, group=group)
     start = simulation.sample()
     simulation.advance(500)
     end = simulation.sample()

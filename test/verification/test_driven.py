@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from convergence import order_by_count
 from given import reference_inputs
-from scene_files import text_of
+from scene_files import cases, filled, text_of
 from scipy.interpolate import PchipInterpolator, make_interp_spline
 
 from liegroup_core import SceneError, Simulation, load_scene
@@ -41,14 +41,7 @@ def difference(simulation, exact, k):
     )
 
 
-ORDERS = {
-    "rkmk4": (4, 0.02),
-    "rkmk8": (8, 0.04),
-    "generalized_alpha": (2, 0.02),
-    "constrained_rattle": (2, 0.02),
-    "constrained_rattle4": (4, 0.02),
-    "constrained_rattle8": (8, 0.06),
-}
+ORDERS = cases("driven_orders")
 
 
 @pytest.fixture(scope="module", params=[PIVOT, ARM], ids=["pivot", "arm"])
@@ -111,28 +104,9 @@ def test_crank_at_constant_rate(name, options):
 def test_two_links_against_the_textbook():
     """Efforts of a planar arm: Spong, Robot Modeling and Control, (7.87), at all samples of a motion."""
     m1, m2, l1, c1, c2, I1, I2 = 2.0, 1.5, 0.6, 0.25, 0.2, 0.05, 0.03
-    scene = scene_from_text(f"""
-name: two_links
-gravity: [0, -{G}, 0]
-bodies:
-  - {{name: one, mass: {m1}, inertia: [0.04, 0.04, {I1}], com: [{c1}, 0, 0]}}
-  - {{name: two, mass: {m2}, inertia: [0.02, 0.02, {I2}], com: [{c2}, 0, 0], position: [{l1}, 0, 0]}}
-joints:
-  - name: a
-    type: revolute
-    parent: world
-    child: one
-    child_frame: {{}}
-    driven: true
-    motion: {{times: [0, 0.5, 1], positions: [0, 2, -1], velocities: [0, 3, 0]}}
-  - name: b
-    type: revolute
-    parent: one
-    child: two
-    child_frame: {{}}
-    driven: true
-    motion: {{times: [0, 0.7, 1], positions: [0, -1.5, 0.5]}}
-""")
+    scene = scene_from_text(
+        filled(text_of("two_links_driven.yaml"), g=G, m1=m1, i1=I1, c1=c1, m2=m2, i2=I2, c2=c2, l1=l1)
+    )
     engine = Engine(scene, "rkmk4", 0.01, stabilisation="projection", quiet=True)
     for _ in range(101):
         sample = engine.sample()

@@ -5,6 +5,7 @@ Motions under every kind of force against closed forms: test_reference_kinds.py;
 start and end inside steps: test_pushes.py.
 """
 
+import mechanisms
 import numpy as np
 import pytest
 from convergence import order_of
@@ -28,22 +29,9 @@ INERTIA = (0.3, 0.4, 0.5)
 def hinged(*forces, spin=0.0):
     """Body on a revolute joint to ground along AXIS, 0.2 m from its centre of mass."""
     arm = 0.2 * np.cross(AXIS, [1.0, 0.0, 0.0]) / np.linalg.norm(np.cross(AXIS, [1.0, 0.0, 0.0]))
-    scene = Scene(
-        name="hinged",
-        gravity=(0, 0, 0),
-        bodies=[
-            Body(
-                name="arm",
-                mass=2.0,
-                inertia=INERTIA,
-                position=arm,
-                angular_velocity=spin * AXIS,
-                linear_velocity=np.cross(spin * AXIS, arm),
-            )
-        ],
-        joints=[Joint(name="hinge", type="revolute", parent="world", child="arm", parent_frame=Frame(axis=AXIS))],
-        forces=forces,
-    )
+    keys = {"name": "arm", "mass": 2.0, "inertia": INERTIA, "position": arm, "angular_velocity": spin * AXIS}
+    hinge = {"name": "hinge", "type": "revolute", "parent_frame": {"axis": AXIS}}
+    scene = mechanisms.one_body(hinge, forces, linear_velocity=np.cross(spin * AXIS, arm), **keys)
     return scene, AXIS @ np.diag(INERTIA) @ AXIS + 2.0 * 0.2**2
 
 
@@ -53,13 +41,8 @@ def pair(*forces, spin=0.0):
         Body(name="first", mass=2.0, inertia=INERTIA, angular_velocity=(0, 0, -spin)),
         Body(name="second", mass=1.0, inertia=(0.1, 0.1, 0.2), position=(0, 0, 0.3)),
     ]
-    scene = Scene(
-        name="pair",
-        gravity=(0, 0, 0),
-        bodies=bodies,
-        joints=[Joint(name="hinge", type="revolute", parent="first", child="second", child_frame=Frame())],
-        forces=forces,
-    )
+    joint = Joint(name="hinge", type="revolute", parent="first", child="second", child_frame=Frame())
+    scene = Scene(name="pair", gravity=(0, 0, 0), bodies=bodies, joints=[joint], forces=forces)
     return scene, 1.0 / (1.0 / INERTIA[2] + 1.0 / 0.2)
 
 
@@ -108,18 +91,10 @@ def test_torsional_oscillator_over_many_turns(made, group):
 
 def test_a_joint_at_half_a_turn_starts_at_plus_pi():
     """Whichever sign round-off gives to the sine."""
+    hinge, coil = {"type": "revolute", "parent_frame": {}, "child_frame": {}}, {"name": "coil", "joint": "j"}
     for turn in (np.pi - 1e-12, np.pi + 1e-12, -np.pi):
-        scene = Scene(
-            name="half",
-            gravity=(0, 0, 0),
-            bodies=[Body(name="a", mass=1, inertia=(1, 1, 1), rotation_vector=(0, 0, turn))],
-            joints=[
-                Joint(
-                    name="hinge", type="revolute", parent="world", child="a", parent_frame=Frame(), child_frame=Frame()
-                )
-            ],
-            forces=[TorsionalSpringDamper(name="coil", joint="hinge", stiffness=1)],
-        )
+        spring = TorsionalSpringDamper(**coil, stiffness=1)
+        scene = mechanisms.one_body(hinge, [spring], rotation_vector=(0, 0, turn))
         assert Simulation(scene, method="rkmk4").sample().angles[0] == pytest.approx(np.pi, abs=2e-12)
 
 
@@ -171,18 +146,9 @@ def test_turns_that_cannot_be_counted_stop_the_run():
 
 
 def pushed(step, start, end, group="se3", spin=(1, 2, -3), **wrench):
-    body = Body(name="b", mass=2.0, inertia=INERTIA, angular_velocity=spin, **START)
-    return Simulation(
-        Scene(
-            name="pushed",
-            gravity=(0, 0, 0),
-            bodies=[body],
-            forces=[ConstantWrench(name="push", body="b", start=start, end=end, **wrench)],
-        ),
-        method="rkmk4",
-        step=step,
-        group=group,
-    )
+    push = ConstantWrench(name="push", body="b", start=start, end=end, **wrench)
+    scene = mechanisms.one_body(None, [push], name="b", mass=2.0, inertia=INERTIA, angular_velocity=spin, **START)
+    return Simulation(scene, method="rkmk4", step=step, group=group)
 
 
 @pytest.mark.parametrize("group, spin", [("se3", (0, 0, 0)), ("so3xr3", (1, 2, -3))])
@@ -240,8 +206,7 @@ def test_steps_are_split_where_wrenches_of_the_scene_start_and_end():
     """3 * 0.1 is not 0.3 in binary, but it is meant."""
     times = (0.0, None), (0.3, 0.5), (0.42, 0.44)
     pushes = [ConstantWrench(name=f"p{k}", body="b", force=(1, 0, 0), start=a, end=b) for k, (a, b) in enumerate(times)]
-    body = Body(name="b", mass=1.0, inertia=INERTIA)
-    simulation = Simulation(Scene(name="s", gravity=(0, 0, 0), bodies=[body], forces=pushes), "rkmk4", 0.1)
+    simulation = Simulation(mechanisms.one_body(None, pushes, name="b"), "rkmk4", 0.1)
     schedule, boundary = simulation.inputs.schedule, StepGrid(0.1).boundary
     changes, step = [], -1
     while (step := schedule.next_change(step)) < 100:
@@ -250,13 +215,8 @@ def test_steps_are_split_where_wrenches_of_the_scene_start_and_end():
     assert not schedule.inside(3)
     inside = schedule.inside(4)
     assert [instant.time for instant in inside] == [0.42, 0.44]
-    for instant, force in (
-        (boundary(3), 2.0),
-        (boundary(4), 2.0),
-        (inside[0], 3.0),
-        (inside[1], 2.0),
-        (boundary(5), 1.0),
-    ):
+    at = (boundary(3), 2.0), (boundary(4), 2.0), (inside[0], 3.0), (inside[1], 2.0), (boundary(5), 1.0)
+    for instant, force in at:
         schedule.update(instant)
         assert schedule.total["body"][0, 3] == force
     assert simulation.input_count == 0 and not simulation.wrench_sources and not simulation.drain_applied()
@@ -266,18 +226,10 @@ def test_steps_are_split_where_wrenches_of_the_scene_start_and_end():
 def test_a_decimal_time_is_matched_to_its_step(steps, step, time, sign):
     """In binary, steps * step differs from the decimal time by a round-off of either sign."""
     assert np.sign(steps * step - time) == sign
-    body = Body(name="b", mass=1.0, inertia=INERTIA)
     for key, before, after in (("start", 0.0, 1.0), ("end", 1.0, 0.0)):
-        simulation = Simulation(
-            Scene(
-                name="s",
-                gravity=(0, 0, 0),
-                bodies=[body.model_copy(update={"linear_velocity": (1, 0, 0)})],
-                forces=[ConstantWrench(name="push", body="b", force=(1, 0, 0), **{key: time})],
-            ),
-            method="rkmk4",
-            step=step,
-        )
+        push = ConstantWrench(name="push", body="b", force=(1, 0, 0), **{key: time})
+        scene = mechanisms.one_body(None, [push], name="b", linear_velocity=(1, 0, 0))
+        simulation = Simulation(scene, method="rkmk4", step=step)
         grid, schedule = StepGrid(step), simulation.inputs.schedule
         assert not schedule.inside(steps - 1) and not schedule.inside(steps)
         for k, expected in ((steps - 1, before), (steps, after)):

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 import yaml
-from scene_files import text_of
+from scene_files import cases, text_of
 from scipy.optimize import brentq
 from stop_scenes import PRESS
 
@@ -106,18 +106,7 @@ def test_stick_slip_oscillator():
 CHAIN = text_of("chain_friction.yaml")
 
 
-@pytest.mark.parametrize(
-    "shoulder, elbow, modes",
-    [
-        (19.7, 5.0, {"shoulder": "stick", "elbow": "stick"}),
-        (19.5, 5.0, {"shoulder": "free", "elbow": "stick"}),
-        (19.7, 4.8, {"shoulder": "stick", "elbow": "free"}),
-        (19.7, 3.0, {"shoulder": "stick", "elbow": "free"}),
-        # Both fall as one rod with 6.15 rad/s^2, which takes 0.17 N m at the elbow.
-        (4.0, 0.2, {"shoulder": "free", "elbow": "stick"}),
-        (4.0, 0.15, {"shoulder": "free", "elbow": "free"}),
-    ],
-)
+@pytest.mark.parametrize("shoulder, elbow, modes", cases("which_joints_of_a_chain_stick"))
 def test_which_joints_of_a_chain_stick(shoulder, elbow, modes):
     """Two horizontal rods bend the shoulder with 2 m g l, the elbow with m g l / 2, l = 1 m."""
     text = CHAIN.replace("SHOULDER", str(shoulder)).replace("ELBOW", str(elbow))

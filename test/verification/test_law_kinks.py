@@ -8,6 +8,7 @@ import pytest
 import scipy
 from convergence import fitted_order
 from numpy.testing import assert_allclose
+from scene_files import cases, text_of
 
 from liegroup_core import Simulation, SimulationError, load_scene
 from liegroup_core.engine import Engine
@@ -19,14 +20,7 @@ from liegroup_core.scene.centres import at_centres_of_mass
 from liegroup_core.scene.load import scene_from_text
 
 START = 0.3  # m, of the cart of 1 kg: its acceleration is the effort
-RAIL = """
-name: rail
-gravity: [0, 0, 0]
-bodies:
-  - {name: cart, mass: 1, inertia: [0.1, 0.1, 0.1], position: [0, 0, 0.3]}
-joints:
-  - {name: rail, type: prismatic, parent: world, child: cart, parent_frame: {}, child_frame: {}}
-"""
+RAIL = text_of("rail_law_kinks.yaml")
 
 
 def cart(effort, velocity=0.0, **keys):
@@ -102,12 +96,7 @@ KINKS = {
 }
 
 
-BALL = """
-name: ball
-gravity: [0, 0, -9.81]
-bodies: [{name: ball, shape: {type: sphere, radius: 0.1, mass: 2}}]
-forces: [{name: m, type: law, signals: {u: "2 if t < END else 0"}, outputs: [{body: ball, torque: [0, u, 0]}]}]
-"""
+BALL = text_of("ball_law_kinks.yaml")
 
 
 @pytest.mark.parametrize("accuracy", [None, 1e-3])
@@ -122,6 +111,7 @@ def test_a_law_that_ends_with_a_step_ends(accuracy):
 
 @pytest.mark.parametrize("name", KINKS)
 @pytest.mark.parametrize("method", ["rkmk54", "rkmk853", "radau5"])
+@pytest.mark.volume(14)
 def test_errors_are_those_of_the_tolerance_through_kinks(name, method):
     """At most ten times the tolerance, as of smooth motions."""
     law, known = KINKS[name]
@@ -134,6 +124,7 @@ def test_errors_are_those_of_the_tolerance_through_kinks(name, method):
 
 @pytest.mark.parametrize("name", KINKS)
 @pytest.mark.parametrize("group", ["auto", "se3"])
+@pytest.mark.volume(10)
 def test_runs_to_an_accuracy_keep_it_through_kinks(name, group):
     law, known = KINKS[name]
     for accuracy in (1e-4, 1e-9):
@@ -194,6 +185,7 @@ SLIDES = {
 
 @pytest.mark.parametrize("name", SLIDES)
 @pytest.mark.parametrize("group", ["auto", "se3"])
+@pytest.mark.volume(8)
 def test_motions_slide_where_both_sides_lead_back(name, group):
     """To an accuracy, and the effort is that on the surface."""
     law, known, effort = SLIDES[name]
@@ -207,6 +199,7 @@ def test_motions_slide_where_both_sides_lead_back(name, group):
 
 @pytest.mark.parametrize("method", ["rkmk54", "rkmk853", "radau5"])
 @pytest.mark.parametrize("name", SLIDES)
+@pytest.mark.volume(8)
 def test_methods_keep_their_tolerance_along_surfaces(method, name):
     law, known, _ = SLIDES[name]
     for tolerance in (1e-5, 1e-11):
@@ -240,14 +233,7 @@ def test_two_surfaces_share_what_laws_exert():
 
 def test_a_body_that_turns_slides_along_a_surface_of_the_world():
     """Friction along x stops it after 2 s; y is accelerated by 0.15 m/s^2."""
-    text = """
-name: ball
-gravity: [0, 0, 0]
-bodies:
-- {name: ball, mass: 2, inertia: [0.1, 0.2, 0.3], linear_velocity: [1, 0, 0], angular_velocity: [0.3, 1, 2]}
-forces:
-- {name: own, type: law, inputs: {v: ball.dx}, outputs: [{body: ball, axes: world, force: [1 - 2*(v > 0), 0.3, 0]}]}
-"""
+    text = text_of("ball_in_a_pulse.yaml")
     for group in ("auto", "se3"):
         simulation = Simulation(scene_from_text(text, "test"), accuracy=1e-9, group=group, quiet=True)
         simulation.advance_to(4.0)
@@ -255,6 +241,7 @@ forces:
 
 
 @pytest.mark.parametrize("name, size", [("slider_crank", 2.0), ("hinge_chain", 1.0), ("double_pendulum", 6.0)])
+@pytest.mark.volume(1)
 def test_a_sign_of_a_rate_is_dry_friction(name, size):
     """Against the switch of the joint, to the sum of both estimates."""
     scene = load_scene(name)
@@ -502,17 +489,7 @@ joints:"""
     assert errors[-1] < 1e-5
 
 
-@pytest.mark.parametrize(
-    ("effort", "work"),
-    [
-        ("3 if q > 0.8 and q < 0.81 else 0", 0.03),
-        ("3*(q > 0.8) - 3*(0.81 < q)", 0.03),
-        ("30000*max(0, min(q - 0.8, 0.81 - q))", 0.75),
-        ("30000*max(0, 0.005 - abs(q - 0.805))", 0.75),
-        ("bump(q)", 0.015),
-        ("3 if bump(q) > 0 else 0", 0.03),
-    ],
-)
+@pytest.mark.parametrize(("effort", "work"), cases("a_force_in_a_window_that_a_step_flies_through_is_seen"))
 def test_a_force_in_a_window_that_a_step_flies_through_is_seen(effort, work):
     """No change has an effect at the end of the step, and no stage is in the window: v^2 = 1 + 2 W for the work W.
 
@@ -527,6 +504,7 @@ def test_a_force_in_a_window_that_a_step_flies_through_is_seen(effort, work):
     assert abs(found.twist[0, 0, 5] - exact) < uncertainty.linear[0, 0] < 1e-8
 
 
+@pytest.mark.turn(3)
 def test_many_branches_may_change_in_a_step_each_up_to_a_thousand_times():
     """1034 kinks of two terms in a step of 1 s: the speed is the integral of |sin w t|, 2 / w for each half wave."""
     rates = 1600.0, 1650.0

@@ -221,19 +221,8 @@ def test_the_zeros_of_a_collocated_motor_are_the_modes_with_its_joint_at_rest():
 def test_trim_finds_the_equilibrium_near_the_state(start):
     """A pendulum with a torsional spring, m g l sin(q) = -k q: stable below; near the top the unstable one."""
     weight, stiffness = 1.0 * GRAVITY * 0.5, 1.0
-    text = f"""
-name: pendulum
-gravity: [0, 0, -9.81]
-bodies:
-  - {{name: rod, mass: 1.0, inertia: [0.02, 0.02, 0.01], position: [{-0.5 * np.sin(start)}, 0, {-0.5 * np.cos(start)}],
-     rotation_vector: [0, {start}, 0]}}
-joints:
-  - {{name: pin, type: revolute, parent: world, child: rod,
-     parent_frame: {{rotation_vector: [-1.5707963267948966, 0, 0]}},
-     child_frame: {{position: [0, 0, 0.5], rotation_vector: [-1.5707963267948966, 0, 0]}}}}
-forces:
-  - {{name: spring, type: torsional_spring_damper, joint: pin, stiffness: {stiffness}, damping: 0.0}}
-"""
+    at = f"{-0.5 * np.sin(start)}, 0, {-0.5 * np.cos(start)}"
+    text = filled(text_of("pendulum_on_a_spring.yaml"), at=at, angle=start, joint="", stiffness=stiffness)
     result = trim(paused(yaml_scene(text)))
     q = result.joints["pin"]
     assert abs(weight * np.sin(q) + stiffness * q) < 1e-9
@@ -245,19 +234,14 @@ forces:
 def test_a_governor_turns_steadily_at_the_height_of_its_speed():
     """A conical pendulum that is driven about the vertical: cos(theta) = g / (omega^2 l)."""
     omega, length = 6.0, 0.5
-    text = f"""
-name: governor
-gravity: [0, 0, -9.81]
-bodies:
-  - {{name: shaft, mass: 1.0, inertia: [0.1, 0.1, 0.1], angular_velocity: [0, 0, {omega}]}}
-  - {{name: ball, mass: 1.0, inertia: [0, 0, 0], position: [0.3, 0, -0.4], rotation_vector: [0, {-np.arctan(0.75)}, 0],
-     angular_velocity: [{omega * np.sin(-np.arctan(0.75)) * -1.0}, 0, {omega * 0.8}], linear_velocity: [0, 1.8, 0]}}
-joints:
-  - {{name: bearing, type: revolute, parent: world, child: shaft, child_frame: {{}}}}
-  - {{name: hinge, type: revolute, parent: shaft, child: ball,
-     parent_frame: {{rotation_vector: [-1.5707963267948966, 0, 0]}},
-     child_frame: {{position: [0, 0, {length}], rotation_vector: [-1.5707963267948966, 0, 0]}}}}
-"""
+    text = filled(
+        text_of("governor.yaml"),
+        omega=omega,
+        tilt=-np.arctan(0.75),
+        wx=omega * np.sin(-np.arctan(0.75)) * -1.0,
+        wz=omega * 0.8,
+        length=length,
+    )
     result = trim(paused(yaml_scene(text)), {"bearing": omega})
     assert abs(np.cos(result.joints["hinge"])) == pytest.approx(GRAVITY / (omega**2 * length), rel=1e-9)
     assert np.linalg.norm(result.twist[0, :3]) == pytest.approx(omega, rel=1e-12)

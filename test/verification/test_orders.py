@@ -112,24 +112,10 @@ def elastic_rod():
     stiffness, damping, length = 1e7, 200.0, 0.5
     place = p.b1 + [0.3, -0.4, 0.0] + p.a2
     velocity = np.cross(p.w1, p.b1) + np.cross(p.w2, p.a2)  # the rod starts without a rate
-    scene = Scene(
-        name="elastic",
-        gravity=GRAVITY,
-        bodies=p.bodies(place, velocity),
-        joints=[p.root],
-        forces=[
-            SpringDamper(
-                name="rod",
-                parent="first",
-                parent_point=p.b1 - p.a1,
-                child="second",
-                child_point=-p.a2,
-                stiffness=stiffness,
-                damping=damping,
-                rest_length=length,
-            )
-        ],
-    )
+    ends = {"parent": "first", "parent_point": p.b1 - p.a1, "child": "second", "child_point": -p.a2}
+    rod = SpringDamper(name="rod", stiffness=stiffness, damping=damping, rest_length=length, **ends)
+    bodies = p.bodies(place, velocity)
+    scene = Scene(name="elastic", gravity=GRAVITY, bodies=bodies, joints=[p.root], forces=[rod])
     about_origin = p.I1 + p.m1 * (p.a1 @ p.a1 * np.eye(3) - np.outer(p.a1, p.a1))
 
     def rate(_, y):
@@ -141,16 +127,8 @@ def elastic_rod():
         f = -(stiffness * (now - length) + damping * (d @ ddot) / now) * d / now
         torque1 = np.cross(p.a1, R1.T @ (p.m1 * GRAVITY)) - np.cross(p.b1, R1.T @ f) - np.cross(w1, about_origin @ w1)
         torque2 = -np.cross(p.a2, R2.T @ f) - np.cross(w2, p.I2 @ w2)
-        return np.concatenate(
-            [
-                (R1 @ hat(w1)).ravel(),
-                (R2 @ hat(w2)).ravel(),
-                v2,
-                np.linalg.solve(about_origin, torque1),
-                np.linalg.solve(p.I2, torque2),
-                GRAVITY + f / p.m2,
-            ]
-        )
+        turns = np.linalg.solve(about_origin, torque1), np.linalg.solve(p.I2, torque2)
+        return np.concatenate([(R1 @ hat(w1)).ravel(), (R2 @ hat(w2)).ravel(), v2, *turns, GRAVITY + f / p.m2])
 
     start = np.concatenate([np.eye(3).ravel(), np.eye(3).ravel(), place, p.w1, p.w2, velocity])
     end = solve_ivp(rate, (0, 1), start, method="Radau", rtol=1e-6, atol=1e-6).y[:, -1]
@@ -246,9 +224,8 @@ def test_error_floors_are_reached_by_order_eight(references):
     for problem, (scene, attitudes) in references.items():
         _, time, floor = PROBLEMS[problem]
         for group in GROUPS:
-            step = {"heavy top": 1 / 400, "Lagrangian top": 1 / 2000, "free body": 1 / 8, "double pendulum": 1 / 240}[
-                problem
-            ]
+            rates = {"heavy top": 400, "Lagrangian top": 2000, "free body": 8, "double pendulum": 240}
+            step = 1 / rates[problem]
             simulation = Simulation(scene, method="rkmk8", step=step, group=group)
             simulation.advance(round(time / step))
             assert attitude_error(simulation, attitudes) < floor, (problem, group)
@@ -312,15 +289,8 @@ def test_error_follows_the_tolerance(references, problem, group):
 def test_generalized_alpha_has_order_two_for_every_damping(references, group, rho_inf):
     scene, attitudes = references["double pendulum"]
     counts = (128, 256, 512)
-    found = errors(
-        scene,
-        attitudes,
-        PROBLEMS["double pendulum"][1],
-        counts,
-        method="generalized_alpha",
-        group=group,
-        rho_inf=rho_inf,
-    )
+    given = {"method": "generalized_alpha", "group": group, "rho_inf": rho_inf}
+    found = errors(scene, attitudes, PROBLEMS["double pendulum"][1], counts, **given)
     assert order_by_count(counts, found) == pytest.approx(2.0, abs=0.2)
 
 
@@ -358,16 +328,12 @@ def test_generalized_alpha_unwraps_angles_and_restarts_at_wrench_changes(group):
     I thetaddot + k theta = tau: of every torque's start t1 theta gets tau/k (1 - cos w (t - t1)).
     """
     I, k, speed, torque, start, end = 0.5, 2.0, 40.0, 30.0, 0.3, 0.9
-    scene = Scene(
-        name="wheel",
-        gravity=(0, 0, 0),
-        bodies=[Body(name="wheel", mass=1.0, inertia=(0.3, 0.4, I), angular_velocity=(0, 0, speed))],
-        joints=[Joint(name="axle", type="revolute", parent="world", child="wheel", child_frame=Frame())],
-        forces=[
-            TorsionalSpringDamper(name="spring", joint="axle", stiffness=k),
-            ConstantWrench(name="push", body="wheel", torque=(0, 0, torque), start=start, end=end),
-        ],
-    )
+    forces = [
+        TorsionalSpringDamper(name="spring", joint="j", stiffness=k),
+        ConstantWrench(name="push", body="a", torque=(0, 0, torque), start=start, end=end),
+    ]
+    axle = {"type": "revolute", "child_frame": {}}
+    scene = mechanisms.one_body(axle, forces, inertia=(0.3, 0.4, I), angular_velocity=(0, 0, speed))
     w = np.sqrt(k / I)
     exact = speed / w * np.sin(w) + torque / k * (np.cos(w * (1 - end)) - np.cos(w * (1 - start)))
     assert exact > 8 * np.pi

@@ -15,15 +15,18 @@ if __name__ == "__main__":
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     sys.path.insert(0, os.path.join(os.path.dirname(__file__), ".."))
 
+import mechanisms
 import numpy as np
 import precise
 import pytest
 import random_mechanisms
+from scene_files import filled, text_of
 
 from liegroup_core import Scene, Simulation, load_scene
 from liegroup_core.engine import Engine
 from liegroup_core.joints.kinds import TYPES
 from liegroup_core.scene.consistency import resolve_frames
+from liegroup_core.scene.load import scene_from_text
 
 pytestmark = pytest.mark.slow
 
@@ -129,21 +132,17 @@ def about_y(angle):
     return (0.0, np.sin(angle / 2), 0.0, np.cos(angle / 2))
 
 
-def one_body(joint, **body):
-    """Scene of a body on a joint to the world whose frames are at the origin."""
-    return Scene(
-        name="one",
-        gravity=(0, 0, -G),
-        bodies=[{"name": "body", "mass": 2.0, "inertia": [0.3, 0.3, 0.1], **body}],
-        joints=[{"name": "joint", "parent": "world", "child": "body", "parent_frame": {}} | joint],
-    )
+def on_joint(joint, **keys):
+    """Scene of a body of 2 kg on a joint to the world whose frames are at the origin."""
+    keys = {"mass": 2.0, "inertia": [0.3, 0.3, 0.1]} | keys
+    return mechanisms.one_body({"parent_frame": {}} | joint, gravity=(0, 0, -G), **keys)
 
 
 def test_pendulum():
     """m l theta'' along the path, m (g cos theta + l theta'^2) along the rod."""
     l, angle, rate = 0.7, 0.4, 1.3
     frame = {"axis": [0, 1, 0]}
-    scene = one_body(
+    scene = on_joint(
         {"type": "revolute", "parent_frame": frame, "child_frame": frame},
         com=(0, 0, -l),
         quaternion=about_y(angle),
@@ -155,16 +154,16 @@ def test_pendulum():
     along = 2.0 * (G * np.cos(angle) + l * rate**2)
     across = 2.0 * (l * turn - G * np.sin(angle))
     R = scene.joints[0].child_frame.pose[:3, :3]
-    force = R @ sample.reactions["joint"][3:]
+    force = R @ sample.reactions["j"][3:]
     assert force == pytest.approx([across, 0.0, along], rel=1e-13, abs=1e-13)
-    assert sample.reactions["joint"][:3] == pytest.approx([0, 0, 0], abs=1e-14)
+    assert sample.reactions["j"][:3] == pytest.approx([0, 0, 0], abs=1e-14)
 
 
 def test_conical_pendulum():
     """A point mass at an angle a circles with w^2 = g / (l cos a): the pull is m g / cos a."""
     l, a = 0.8, 0.6
     w = np.sqrt(G / (l * np.cos(a)))
-    scene = one_body(
+    scene = on_joint(
         {"type": "universal", "child_frame": {}},
         inertia=[0, 0, 0],
         com=(0, 0, -l),
@@ -172,7 +171,7 @@ def test_conical_pendulum():
         # About the arm of the cross that is fixed to the world: the velocity w l sin a.
         angular_velocity=(w * np.sin(a), 0, w * np.sin(a) * np.tan(a)),
     )
-    pull = at_start(scene).reactions["joint"]
+    pull = at_start(scene).reactions["j"]
     assert pull == pytest.approx([0, 0, 0, 0, 0, 2.0 * G / np.cos(a)], rel=1e-12, abs=1e-12)
 
 
@@ -185,33 +184,19 @@ def test_steady_precession_of_a_top():
     p = min(roots)
     # Body rate: precession about the vertical, and a spin such that the total along the axis is n.
     rate = (-p * np.sin(a), 0.0, spin)
-    scene = one_body(
+    scene = on_joint(
         {"type": "spherical", "child_frame": {}}, com=(0, 0, l), quaternion=about_y(a), angular_velocity=rate
     )
     sample = at_start(scene)
     R = sample.pose_matrices[0, :3, :3]
-    force = R @ sample.reactions["joint"][3:]
+    force = R @ sample.reactions["j"][3:]
     circle = -2.0 * p**2 * l * np.sin(a)
     assert force == pytest.approx([circle, 0.0, 2.0 * G], rel=1e-11, abs=1e-11)
 
 
 def test_a_weld_carries_what_is_behind_it():
     """A cantilever of two welded bodies at rest: weight and its moments, summed by hand."""
-    scene = Scene(
-        name="beam",
-        gravity=(0, 0, -G),
-        bodies=[
-            {"name": "a", "mass": 2.0, "inertia": [0.1, 0.1, 0.1], "position": [0.5, 0, 0]},
-            {"name": "b", "mass": 3.0, "inertia": [0.1, 0.1, 0.1], "position": [1.5, 0.2, 0]},
-            {"name": "c", "mass": 1.0, "inertia": [0.1, 0.1, 0.1], "position": [3.0, 0.0, 0]},
-        ],
-        joints=[
-            {"name": "wall", "type": "fixed", "parent": "world", "child": "a", "parent_frame": {}},
-            {"name": "flange", "type": "fixed", "parent": "a", "child": "b", "child_frame": {}},
-            {"name": "free", "type": "planar", "parent": "world", "child": "c", "child_frame": {}},
-        ],
-        forces=[{"name": "push", "type": "applied_wrench", "body": "b", "force": [0, 7, 0]}],
-    )
+    scene = scene_from_text(text_of("beam.yaml"))
     found = at_start(scene).reactions
     assert found["flange"] == pytest.approx([0, 0, 0, 0, -7, 3 * G], abs=1e-13)
     wall = [0.2 * 3 * G, -(0.5 * 2 + 1.5 * 3) * G, -1.5 * 7, 0, -7, 5 * G]
@@ -221,21 +206,11 @@ def test_a_weld_carries_what_is_behind_it():
 
 def coaxial(count):
     """Door on so many hinges of one vertical axis."""
-    return Scene(
-        name="door",
-        gravity=(0, 0, -G),
-        bodies=[{"name": "door", "mass": 4.0, "inertia": [1, 1, 1], "position": [0.5, 0, 1]}],
-        joints=[
-            {
-                "name": f"hinge{k}",
-                "type": "revolute",
-                "parent": "world",
-                "child": "door",
-                "parent_frame": {"position": [0, 0, float(k)]},
-            }
-            for k in range(count)
-        ],
+    door = mechanisms.one_body(
+        {"name": "hinge0", "type": "revolute", "parent_frame": {}}, gravity=(0, 0, -G), mass=4.0, position=(0.5, 0, 1)
     )
+    hinges = [door.joints[0].remade(name=f"hinge{k}", parent_frame={"position": (0, 0, k)}) for k in range(count)]
+    return door.remade(joints=hinges)
 
 
 def test_three_coaxial_hinges_share_in_any_proportion():
@@ -258,33 +233,21 @@ def test_statics_of_a_four_bar():
     """A square held by a diagonal spring: forces in the plane by hand, the others undetermined."""
     corners = {"left": (0, 0), "top": (0, 1), "right": (1, 1), "base": (1, 0)}
     centres = {"left": (0, 0.5), "top": (0.5, 1), "right": (1, 0.5)}
-    axis = [0, -1, 0]
     ends = (("world", "left", "left"), ("left", "top", "top"), ("top", "right", "right"))
-    scene = Scene(
-        name="square",
-        gravity=(0, 0, 0),
-        bodies=[
-            {"name": name, "mass": 1.0, "inertia": [0.1, 0.1, 0.1], "position": [x, 0, z]}
-            for name, (x, z) in centres.items()
-        ],
-        joints=[
-            {
-                "name": f"{a}_{b}",
-                "type": "revolute",
-                "parent": a,
-                "child": b,
-                "child_frame": {
-                    "position": [corners[c][0] - centres[b][0], 0, corners[c][1] - centres[b][1]],
-                    "axis": axis,
-                },
-            }
-            for a, b, c in (*ends, ("world", "right", "base"))
-        ],
-        forces=[
-            {"name": "right", "type": "applied_wrench", "body": "top", "force": [5, 0, 0]},
-            {"name": "hold", "type": "applied_wrench", "body": "left", "torque": [0, -5, 0]},
-        ],
-    )
+    bodies = [
+        {"name": name, "mass": 1.0, "inertia": [0.1, 0.1, 0.1], "position": [x, 0, z]}
+        for name, (x, z) in centres.items()
+    ]
+    joints = []
+    for a, b, c in (*ends, ("world", "right", "base")):
+        at = [corners[c][0] - centres[b][0], 0, corners[c][1] - centres[b][1]]
+        frame = {"position": at, "axis": [0, -1, 0]}
+        joints.append({"name": f"{a}_{b}", "type": "revolute", "parent": a, "child": b, "child_frame": frame})
+    forces = [
+        {"name": "right", "type": "applied_wrench", "body": "top", "force": [5, 0, 0]},
+        {"name": "hold", "type": "applied_wrench", "body": "left", "torque": [0, -5, 0]},
+    ]
+    scene = Scene(name="square", gravity=(0, 0, 0), bodies=bodies, joints=joints, forces=forces)
     sample = at_start(scene)
     # The torque of 5 N m at the left bar of 1 m balances the push: the left bar gives the top 5 N
     # to the left, and the right bar, free of loads, nothing.
@@ -300,21 +263,7 @@ def test_statics_of_a_four_bar():
 def test_gears_act_along_the_axes_of_their_joints():
     """q1 = -2 q2 with a torque on the second wheel: the efforts are in the ratio of the gear."""
     J1, J2, T = 0.4, 0.1, 3.0
-    wheel = {"mass": 1.0}
-    scene = Scene(
-        name="gears",
-        gravity=(0, 0, 0),
-        bodies=[
-            {"name": "first", "inertia": [J1] * 3, **wheel},
-            {"name": "second", "inertia": [J2] * 3, "position": [1, 0, 0], **wheel},
-        ],
-        joints=[
-            {"name": n, "type": "revolute", "parent": "world", "child": n, "child_frame": {}}
-            for n in ("first", "second")
-        ],
-        couplings=[{"name": "mesh", "joint": "first", "other": "second", "ratio": -2.0}],
-        forces=[{"name": "drive", "type": "motor", "joint": "second", "torque": T}],
-    )
+    scene = scene_from_text(filled(text_of("two_gears.yaml"), first=J1, second=J2, torque=T))
     found = at_start(scene).reactions
     acceleration = T / (J2 + 4.0 * J1)  # of the second wheel
     effort = -2.0 * J1 * acceleration
@@ -324,49 +273,13 @@ def test_gears_act_along_the_axes_of_their_joints():
 
 def test_at_a_singular_pose_more_is_undetermined():
     """A parallelogram that stands flat: forces along it are those of no unique set of reactions."""
-    found = {}
-    for angle in (0.4, 0.0):
-        scene = flat_parallelogram(angle)
-        found[angle] = at_start(scene)
+    found = {angle: at_start(mechanisms.parallelogram(angle, 0.0, gravity=(0, -G, 0))) for angle in (0.4, 0.0)}
     regular, flat = (set(found[angle].undetermined) for angle in (0.4, 0.0))
     lost = {
         angle: sum(int(np.isnan(wrench).sum()) for wrench in sample.reactions.values())
         for angle, sample in found.items()
     }
     assert regular == flat and lost[0.0] > lost[0.4]
-
-
-def flat_parallelogram(angle):
-    """Two cranks of 1 m at an angle to the ground of 2 m, and the coupler between them."""
-    c, s = np.cos(angle), np.sin(angle)
-    turn = {"quaternion": about_y(-angle)}
-    axis = {"axis": [0, 1, 0]}
-    return Scene(
-        name="flat",
-        gravity=(0, 0, -G),
-        bodies=[
-            {"name": "left", "mass": 1.0, "inertia": [0.1] * 3, "position": [c / 2, 0, s / 2], **turn},
-            {"name": "top", "mass": 1.0, "inertia": [0.1] * 3, "position": [1 + c, 0, s]},
-            {
-                "name": "right",
-                "mass": 1.0,
-                "inertia": [0.1] * 3,
-                "position": [2 + c / 2, 0, s / 2],
-                **turn,
-            },
-        ],
-        joints=[
-            {"name": name, "type": "revolute", "parent": a, "child": b,
-             "child_frame": {"position": [x, 0, 0]} | axis}
-            for name, a, b, x in (
-                ("base", "world", "left", -0.5),
-                ("knee", "left", "top", -1.0),
-                ("foot", "world", "right", -0.5),
-            )
-        ]
-        + [{"name": "tip", "type": "revolute", "parent": "top", "child": "right",
-            "child_frame": {"position": [0.5, 0, 0]} | axis}],
-    )  # fmt: skip
 
 
 def test_every_method_has_the_reactions_of_its_state():

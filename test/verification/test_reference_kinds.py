@@ -9,16 +9,14 @@ import mechanisms
 import numpy as np
 import pytest
 import yaml
+from scene_files import text_of
 
-from liegroup_core import Scene, Simulation, SimulationError, load_scene
+from liegroup_core import Simulation, SimulationError, load_scene
 from liegroup_core.mechanism.body_model import initial_state
 from liegroup_core.reference import Trajectory, distance, integrate
 from liegroup_core.scene import (
-    Body,
     ConstantWrench,
     Drag,
-    Frame,
-    Joint,
     LinearMotor,
     LinearSpringDamper,
     Motor,
@@ -27,7 +25,6 @@ from liegroup_core.scene import (
 )
 from liegroup_core.scene.assembly import assembled
 from liegroup_core.scene.centres import at_centres_of_mass
-from liegroup_core.scene.description import ScrewJoint
 from liegroup_core.scene.load import scene_from_text
 
 AXIS = np.array([1.0, 2.0, 2.0]) / 3.0
@@ -80,65 +77,7 @@ def test_every_kind_of_joint(name):
 
 # On the mechanism with every kind of joint: j0 a sleeve to ground, j2 a screw, j3 a plate, j4 a
 # slider, j7 a hinge between bodies.
-ON_EVERY_KIND = yaml.safe_load("""
-spring_damper:
-  - {name: s, parent: a, child: c, parent_point: [0.1, 0.2, 0.3], child_point: [0.4, -0.2, 0.1], stiffness: 50,
-     damping: 3, rest_length: 0.7}
-  - {name: t, parent: world, child: h, parent_point: [0, 0, 1], child_point: [0.4, 0, 0], stiffness: 20}
-torsional_spring_damper:
-  - {name: r, joint: j0, stiffness: 4, damping: 0.3, rest_angle: 9}
-  - {name: s, joint: j2, stiffness: 4, damping: 0.3, rest_angle: 9}
-  - {name: t, joint: j3, stiffness: 4, damping: 0.3, rest_angle: 9}
-  - {name: u, joint: j7, stiffness: 4, damping: 0.3, rest_angle: 9}
-linear_spring_damper:
-  - {name: s, joint: j0, stiffness: 40, damping: 3, rest_position: 0.3}
-  - {name: t, joint: j2, stiffness: 40, damping: 3, rest_position: 0.3}
-  - {name: u, joint: j4, stiffness: 40, damping: 3, rest_position: 0.3}
-motor:
-  - {name: s, joint: j0, torque: -4, rate_limit: 3}
-  - {name: t, joint: j7, torque: 3}
-  - {name: u, joint: j2, torque: 2}
-linear_motor:
-  - {name: s, joint: j4, force: -4, speed_limit: 3}
-  - {name: t, joint: j0, force: 3}
-servo:
-  - {name: s, joint: j0, stiffness: 4, damping: 0.3, position: 9, velocity: 2}
-  - {name: t, joint: j7, stiffness: 20, position: -40, effort_limit: 3}
-  - {name: u, joint: j2, stiffness: 0, damping: 0.5, velocity: 4}
-linear_servo:
-  - {name: s, joint: j4, stiffness: 40, damping: 3, position: 0.3, velocity: -1}
-  - {name: t, joint: j0, stiffness: 20, position: 9, effort_limit: 4}
-drag:
-  - {name: s, body: a, linear: 2, quadratic: 3, angular: 0.5, angular_quadratic: 0.7}
-  - {name: t, body: h, quadratic: 1}
-law:
-  - name: s
-    inputs: {q: j2.position, w: j2.velocity, p: j4.position, u: j4.velocity, a: j7.position, b: j7.velocity}
-    parameters: {k: 4, c: 0.3}
-    tables: {cog: {x: [-60, 0.2, 90], y: [1, -2, 3]}}
-    states: {i: {rate: lag - 3*p, start: 0.4}, lag: {rate: 9*(e - lag), start: -1, scale: 2}}
-    signals: {e: "k*sin(3*t + q) - c*w if -9 < q <= 9 or w > 90 else cog(q)", f: "cog(a + 40)*b**2"}
-    outputs:
-      - {joint: j2, effort: "clip(e, -k, 9) - log(2 + q**2)"}
-      - {joint: j4, effort: "20*(0.3 - p) + 9*i - 3*u*abs(w) + 5*exp(-t)*cos(20*t)"}
-      - {joint: j7, effort: "3*tanh(5*a - 3*b) + max(f, -8, e - 90)"}
-  - name: t
-    inputs: {e: s.e, lag: s.lag, x: {quantity: a.x, point: [0.3, 0.1, 0]}, z: h.z, i: a.qx, j: g.qy, k: h.qw, l: b.qz,
-      m: c.wy, n: {quantity: h.vz, point: [0.3, 1, 2]}}
-    outputs:
-      - {body: a, force: [9*i + 1, "atan2(x, 2 + z)*e", x**3], torque: [j, "asin(0.9*sin(z))", "sqrt(1 + z*z)"],
-         point: [1, 0.2, 3]}
-      - {body: h, force: [lag*k, acos(0.4*j), -n], torque: ["min(m, 90)", "2**(l/9)", "tan(i/3) + atan(x)"],
-         point: [0.1, 0, -1], axes: world}
-contact:
-  - {name: s, body: a, other: h, shape: {type: sphere, radius: 4, position: [0.1, 0.2, 0.3]}, stiffness: 3,
-     other_shape: {type: capsule, radius: 5, length: 0.5}, damping: 0.02, friction: 0.4, slip: 9, settles: 0.1}
-  - {name: t, body: g, shape: {type: box, size: [0.3, 0.2, 0.1]}, plane: {point: [0, 0, 9], normal: [1, 2, 3]},
-     stiffness: 1, damping: 0.02, friction: 0.3, slip: 9}
-applied_wrench:
-  - {name: s, body: a, torque: [1, 2, 3], force: [4, 5, -6], point: [1, 0.2, 3], start: 0.0303, end: 0.0811}
-  - {name: t, body: g, torque: [1, 2, 3], force: [4, 5, -6], point: [1, 0.2, 3], axes: world, end: 0.0507}
-""")
+ON_EVERY_KIND = yaml.safe_load(text_of("forces_on_every_kind.yaml"))
 
 
 @pytest.mark.parametrize("kind", ON_EVERY_KIND)
@@ -154,67 +93,18 @@ def test_every_kind_of_force(kind):
 
 
 UNDER_LAWS = {
-    "a pendulum that follows a sine": """
-bodies:
-- {name: bob, mass: 0.8, inertia: [0.1, 0.05, 0.1], com: [0, 0, -0.5], rotation_vector: [0, 0.7, 0]}
-joints:
-- {name: hinge, type: revolute, parent: world, child: bob, parent_frame: {axis: [0, 1, 0]},
-   child_frame: {axis: [0, 1, 0]}}
-forces:
-- {name: pd, type: law, inputs: {q: hinge.position, w: hinge.velocity}, parameters: {kp: 6, kd: 0.4},
-   outputs: [{joint: hinge, effort: kp*(0.5*sin(2*t) - q) - kd*w}]}
-""",
-    "a body at a magnet": """
-bodies:
-- {name: bob, mass: 1, inertia: [0.1, 0.2, 0.15], com: [0.02, 0, 0.01], position: [0.6, 0, 0.1],
-   linear_velocity: [0, 0.8, 0.1], angular_velocity: [0.3, 2, -1]}
-forces:
-- name: magnet
-  type: law
-  inputs: {x: {quantity: bob.x, point: &at [0, 0.1, 0.2]}, y: {quantity: bob.y, point: *at},
-    z: {quantity: bob.z, point: *at}, qx: bob.qx, qw: bob.qw}
-  signals: {r2: x**2 + y**2 + z**2 + 0.05}
-  outputs:
-  - {body: bob, point: [0, 0.1, 0.2], axes: world, torque: [0, 0.05*sin(3*t)*qw*qx, 0],
-     force: [-0.4*x/r2**1.5, -0.4*y/r2**1.5, -0.4*z/r2**1.5]}
-""",
+    "a pendulum that follows a sine": text_of("pendulum_that_follows_a_sine.yaml"),
+    "a body at a magnet": text_of("body_at_a_magnet.yaml"),
     # Friction of the table has kinks at four rates.
-    "a double pendulum with friction by a table": """
-bodies:
-- {name: upper, mass: 1, inertia: [0.1, 0.1, 0.02], com: [0, 0, -0.5], rotation_vector: [0, 1.2, 0]}
-- {name: lower, mass: 0.7, inertia: [0.05, 0.05, 0.01], com: [0, 0, -0.4]}
-joints:
-- {name: shoulder, type: revolute, parent: world, child: upper, parent_frame: {axis: [0, 1, 0]},
-   child_frame: {axis: [0, 1, 0]}}
-- {name: elbow, type: revolute, parent: upper, child: lower, parent_frame: {position: [0, 0, -1], axis: [0, 1, 0]},
-   child_frame: {axis: [0, 1, 0]}, coordinate: -0.5}
-assemble: true
-forces:
-- name: friction
-  type: law
-  inputs: {w: elbow.velocity, v: shoulder.velocity}
-  tables: {mu: {x: [-9, -1, -0.05, 0.05, 1, 9], y: [0.6, 0.4, 0.9, -0.9, -0.4, -0.6]}}
-  outputs: [{joint: elbow, effort: mu(w)}, {joint: shoulder, effort: 0.5*mu(v)}]
-""",
+    "a double pendulum with friction by a table": text_of("pendulum_with_tabled_friction.yaml"),
     # It bounces, skids, rolls over both ends, and meets a ball that rolls. A ball that only just touches at the start
     # would begin to press at a double zero, known to 1e-9 s.
-    "a capsule and a ball on the ground": """
-bodies:
-- {name: peg, mass: 1, inertia: [0.02, 0.02, 0.005], com: [0.01, 0, 0.02], position: [0, 0, 0.3],
-   rotation_vector: [0.9, 0.4, 0], linear_velocity: [0.5, 0, 0], angular_velocity: [1, 3, 2]}
-- {name: ball, shape: {type: sphere, radius: 0.1, mass: 1}, position: [0.45, 0.05, 0.098],
-   linear_velocity: [-0.2, 0, 0]}
-forces:
-- {name: floor, type: contact, body: peg, shape: &peg {type: capsule, radius: 0.05, length: 0.2}, stiffness: 2e3,
-   restitution: 0.5, friction: 0.4, slip: 2e-3}
-- {name: ground, type: contact, body: ball, stiffness: 2e3, restitution: 0.5, friction: 0.4, slip: 2e-3}
-- {name: hit, type: contact, body: peg, shape: *peg, other: ball, stiffness: 2e3, restitution: 0.5, friction: 0.4,
-   slip: 2e-3}
-""",
+    "a capsule and a ball on the ground": text_of("capsule_and_ball.yaml"),
 }
 
 
 @pytest.mark.parametrize("name", UNDER_LAWS)
+@pytest.mark.volume(2)
 def test_laws_at_a_tight_accuracy(name):
     """The engine is within its accuracy, the reference within its uncertainty: at most 1e-9.
 
@@ -257,24 +147,9 @@ def test_every_example_scene(name):
 
 def on_joint(kind, *forces, rate=0.0, **keys):
     """Body with joint velocity `rate` on a joint to ground along AXIS through its centre."""
-    turns = kind == "revolute"
-    joint = (ScrewJoint if kind == "screw" else Joint)(
-        name="j", type=kind, parent="world", child="a", parent_frame=Frame(axis=AXIS), **keys
-    )
-    return Scene(
-        name="one",
-        gravity=(0, 0, 0),
-        joints=[joint],
-        forces=forces,
-        bodies=[
-            Body(
-                name="a",
-                mass=MASS,
-                inertia=(INERTIA,) * 3,
-                **{("angular" if turns else "linear") + "_velocity": rate * AXIS},
-            )
-        ],
-    )
+    speed = {("angular" if kind == "revolute" else "linear") + "_velocity": rate * AXIS}
+    joint = {"type": kind, "parent_frame": {"axis": AXIS}} | keys
+    return mechanisms.one_body(joint, forces, mass=MASS, inertia=(INERTIA,) * 3, **speed)
 
 
 def oscillation(t, size, stiffness, damping, rest, start=0.0):
@@ -351,6 +226,7 @@ def way_along_axis(scene, trajectory):
 
 
 @pytest.mark.parametrize("name", CLOSED_FORMS)
+@pytest.mark.volume(4)
 def test_reference_integration_and_engine_agree_with_closed_forms(name):
     """Tolerance: the reported uncertainty plus round-off of values up to 100.
 
@@ -370,40 +246,12 @@ def test_reference_integration_and_engine_agree_with_closed_forms(name):
         assert bound <= 1e-8 * size and np.abs(fine - exact).max() <= bound, group
 
 
-def parallelogram(angle):
-    """Moving parallelogram: cranks of 1 m at an angle (rad) to the ground, 2 m apart."""
-    arm = np.array([np.cos(angle), np.sin(angle), 0.0])
-    rate = np.cross([0, 0, 3.0], arm)
-    turned = {"rotation_vector": (0, 0, angle), "angular_velocity": (0, 0, 3.0), "linear_velocity": (0, 1.5, 0)}
-    inertia = (0.01, 0.1, 0.1)
-    return Scene(
-        name="flat",
-        gravity=(0, 0, 0),
-        bodies=[
-            Body(name="left", mass=1, inertia=inertia, position=arm / 2, **turned),
-            Body(name="right", mass=1, inertia=inertia, position=arm / 2 + (2, 0, 0), **turned),
-            Body(name="top", mass=1, inertia=inertia, position=arm + (1, 0, 0), linear_velocity=rate),
-        ],
-        joints=[
-            Joint(name=f"j{i}", type="revolute", parent=parent, child=child, parent_frame=Frame(position=place))
-            for i, (parent, child, place) in enumerate(
-                [
-                    ("world", "left", (0, 0, 0)),
-                    ("world", "right", (2, 0, 0)),
-                    ("left", "top", (0.5, 0, 0)),
-                    ("right", "top", (0.5, 0, 0)),
-                ]
-            )
-        ],
-    )
-
-
 @pytest.mark.parametrize("angle, time", [(-1.5, 1.0), (0.0, 0.1)])
 def test_a_singular_pose_is_reported(angle, time):
     """A parallelogram that becomes flat during the motion, or starts flat."""
     with pytest.raises(SimulationError, match="singular configuration") as error:
-        reference(parallelogram(angle), [time])
+        reference(mechanisms.parallelogram(angle, 3.0), [time])
     assert "\n" not in str(error.value)
     # before it there is no difficulty
     if angle:
-        assert reference(parallelogram(angle), [0.4])[1].position.max() <= 1e-11
+        assert reference(mechanisms.parallelogram(angle, 3.0), [0.4])[1].position.max() <= 1e-11

@@ -22,18 +22,7 @@ from liegroup_core.reference.trajectory import integrate
 
 TIMES = (0.25, 0.5, 0.75)  # s
 LINKS = {
-    "tree": mechanisms.with_every_pair(
-        [
-            ("world", "a", "planar"),
-            ("a", "b", "universal"),
-            ("b", "c", "cylindrical"),
-            ("c", "d", "spherical"),
-            ("d", "e", "screw"),
-            ("b", "f", "prismatic"),
-            ("world", "g", None),
-            ("g", "h", "revolute"),
-        ]
-    ),
+    "tree": mechanisms.with_every_group(),
     "loop": [("world", "a", "revolute"), ("a", "b", "universal"), ("b", "c", "spherical"), ("c", "d", "revolute")],
 }
 CLOSING = {"tree": [], "loop": [("world", "d", "spherical")]}

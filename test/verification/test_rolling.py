@@ -124,18 +124,19 @@ def test_a_ball_on_a_turntable_moves_in_a_circle():
     # Without slip: v + w x (-r z) = omega z x position.
     slip = np.array([-omega * start[1], omega * start[0]]) - velocity  # = w x (-r z) = (-w_y r, w_x r)
     w = (float(slip[1]) / radius, -float(slip[0]) / radius)
-    text = f"""
-name: turntable
-gravity: [0, 0, -9.81]
-bodies:
-  - {{name: table, mass: 1.0e9, inertia: [1.0e9, 1.0e9, 1.0e9], angular_velocity: [0, 0, {omega}]}}
-  - {{name: ball, mass: {mass}, inertia: [{inertia}, {inertia}, {inertia}],
-     position: [{start[0]}, {start[1]}, {radius}],
-     angular_velocity: [{w[0]!r}, {w[1]!r}, 0], linear_velocity: [{velocity[0]}, {velocity[1]}, 0]}}
-joints:
-  - {{name: bearing, type: revolute, parent: world, child: table, driven: true, child_frame: {{}}}}
-  - {{name: contact, type: ball_on_plane, parent: table, child: ball, child_frame: {{}}, radius: {radius}}}
-"""
+    text = filled(
+        text_of("turntable.yaml"),
+        omega=omega,
+        mass=mass,
+        inertia=inertia,
+        x=start[0],
+        y=start[1],
+        radius=radius,
+        wx=repr(w[0]),
+        wy=repr(w[1]),
+        vx=velocity[0],
+        vy=velocity[1],
+    )
     simulation = Simulation(scene(text), accuracy=1e-9, quiet=True)
     rate = 2.0 / 7.0 * omega
     centre = start + np.array([-velocity[1], velocity[0]]) / rate
@@ -151,16 +152,7 @@ joints:
 def test_a_sleigh_on_a_knife_edge_turns_into_its_straight_course():
     """Chaplygin's sleigh: v = V tanh, omega = W sech, with the edge a distance a behind the centre of mass."""
     mass, inertia, a, v0, w0 = 2.0, 0.3, 0.2, 0.4, 2.0
-    text = f"""
-name: sleigh
-gravity: [0, 0, 0]
-bodies:
-  - {{name: sled, mass: {mass}, inertia: [1, 1, {inertia}], angular_velocity: [0, 0, {w0}],
-     linear_velocity: [{v0}, {a * w0}, 0]}}
-joints:
-  - {{name: ice, type: planar, parent: world, child: sled, child_frame: {{}}}}
-  - {{name: edge, type: knife_edge, parent: world, child: sled, child_frame: {{position: [{-a}, 0, 0]}}}}
-"""
+    text = filled(text_of("sleigh.yaml"), mass=mass, inertia=inertia, w0=w0, v0=v0, vy=a * w0, a=-a)
     simulation = Simulation(scene(text), accuracy=1e-10, quiet=True)
     whole = inertia + mass * a * a
     V = np.sqrt(v0**2 + whole / mass * w0**2)
@@ -197,15 +189,17 @@ def test_a_disk_rolls_steadily_in_a_circle(lean):
     velocity = np.cross(omega, centre)
     vector = scipy.spatial.transform.Rotation.from_matrix(R).as_rotvec()
     w, v = R.T @ omega, R.T @ velocity
-    text = f"""
-name: disk
-gravity: [0, 0, -9.81]
-bodies:
-  - {{name: disk, mass: {mass}, inertia: [{A}, {A}, {C}], position: {centre.tolist()},
-     rotation_vector: {vector.tolist()}, angular_velocity: {w.tolist()}, linear_velocity: {v.tolist()}}}
-joints:
-  - {{name: contact, type: wheel, parent: world, child: disk, child_frame: {{}}, radius: {r}}}
-"""
+    text = filled(
+        text_of("disk.yaml"),
+        mass=mass,
+        a=A,
+        c=C,
+        centre=centre.tolist(),
+        vector=vector.tolist(),
+        w=w.tolist(),
+        v=v.tolist(),
+        r=r,
+    )
     simulation = Simulation(scene(text), accuracy=1e-10, quiet=True)
     for time in (0.3, 1.0, 2.0):
         simulation.advance_to(time)

@@ -7,16 +7,17 @@ other scenes: test_rotation_forces.py.
 
 import re
 
+import mechanisms
 import numpy as np
 import pytest
 from convergence import fitted_order
 from golden import few_steps
+from naive import hat
 from scipy.optimize import fsolve
 
-from liegroup_core import Scene, Simulation, SimulationError, load_scene
+from liegroup_core import Simulation, SimulationError, load_scene
 from liegroup_core.lie.groups import SO3
 from liegroup_core.methods.table import METHODS
-from liegroup_core.scene.description import Body
 from liegroup_core.status import NO_RATTLE_STEP, NOT_CONVERGED
 from liegroup_sim_ros.chapter.rotation_figures import (
     count_runs,
@@ -142,11 +143,7 @@ def test_the_implicit_form_of_austin_uses_the_mean_momentum():
         for _ in range(rate):
             y, middle, apart = I * w + h / 2 * torque(R), w, np.inf
             while apart > 1e-11:  # of 150 rad/s
-                x = (
-                    0.5
-                    * h
-                    * np.array([[0, -middle[2], middle[1]], [middle[2], 0, -middle[0]], [-middle[1], middle[0], 0]])
-                )
+                x = 0.5 * h * hat(middle)
                 Q = np.linalg.solve(unit - x, unit + x)
                 end = Q.T @ y + h / 2 * torque(R @ Q)
                 previous, middle = middle, (I * w + end) / 2 / I
@@ -156,6 +153,7 @@ def test_the_implicit_form_of_austin_uses_the_mean_momentum():
 
 
 @pytest.mark.parametrize("method", KEEP_MOMENTUM)
+@pytest.mark.volume(4)
 def test_free_body_momentum_is_conserved_at_every_step(method):
     """16 s in steps of 8 s to 1/4096 s: round-off.
 
@@ -311,13 +309,8 @@ def test_rattle_solves_rotations_up_to_one_radian_for_any_inertia():
         points = rng.normal(size=(4, 3)) * 10 ** rng.uniform(-1, 0, size=3)
         inertia = sum((p @ p) * np.eye(3) - np.outer(p, p) for p in points)
         w = rng.normal(size=3)
-        body = Body(
-            name="b",
-            mass=1.0,
-            angular_velocity=w,
-            inertia=[*np.diag(inertia), inertia[0, 1], inertia[0, 2], inertia[1, 2]],
-        )
-        scene = Scene(name="one", gravity=(0, 0, 0), bodies=[body])
+        six = [*np.diag(inertia), inertia[0, 1], inertia[0, 2], inertia[1, 2]]
+        scene = mechanisms.one_body(angular_velocity=w, inertia=six)
         Simulation(scene, method="rattle", step=0.999 / np.linalg.norm(w)).advance(1)
         with pytest.raises(SimulationError, match="RATTLE has no solution"):
             Simulation(scene, method="rattle", step=1.6 / np.linalg.norm(w)).advance(1)

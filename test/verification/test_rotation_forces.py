@@ -19,7 +19,7 @@ from liegroup_core.layout import make_layout
 from liegroup_core.methods.families import fitting_methods
 from liegroup_core.methods.table import METHODS
 from liegroup_core.reference import integrate
-from liegroup_core.scene.description import Body, ConstantWrench, Drag, Frame, Joint, SpringDamper
+from liegroup_core.scene.description import Body, ConstantWrench, Drag, SpringDamper
 
 ROTATION = [name for name, method in METHODS.items() if method.family == "rotation"]
 INERTIA = np.array([[0.9, 0.1, -0.05], [0.1, 1.1, 0.08], [-0.05, 0.08, 1.6]])
@@ -77,14 +77,11 @@ def test_order_with_drag(method, held):
     mass, gravity, w0 = 2.0, np.array([0.2, -0.1, -0.8]), np.array([0.5, 0.8, 0.1])
     v0 = np.cross(w0, d) if held else np.array([0.4, -0.3, 0.2])
     about = INERTIA + mass * (d @ d * np.eye(3) - np.outer(d, d))
-    scene = Scene(
-        name="dragged",
-        gravity=gravity,
-        bodies=[Body(name="a", mass=mass, inertia=SIX, position=d, angular_velocity=w0, linear_velocity=v0)],
-        joints=[Joint(name="pivot", type="spherical", parent="world", child="a", child_frame=Frame(position=-d))]
-        if held
-        else [],
-        forces=[Drag(name="air", body="a", linear=0.6, quadratic=0.4, angular=0.5, angular_quadratic=0.3)],
+    scene = mechanisms.one_body(
+        {"type": "spherical", "child_frame": {"position": -d}} if held else None,
+        [Drag(name="air", body="a", linear=0.6, quadratic=0.4, angular=0.5, angular_quadratic=0.3)],
+        gravity,
+        **{"mass": mass, "inertia": SIX, "position": d, "angular_velocity": w0, "linear_velocity": v0},
     )
 
     def rate(_, y):
@@ -108,30 +105,10 @@ def test_order_with_drag(method, held):
 @pytest.mark.parametrize("method", ROTATION)
 def test_the_spherical_joint_holds_to_round_off(method):
     """Also with the centre of mass off the body frame, and at much too large steps."""
-    scene = Scene(
-        name="held",
-        gravity=(0, 0, -9.81),
-        bodies=[
-            Body(
-                name="a",
-                mass=2.0,
-                com=(0.1, 0.2, -0.1),
-                inertia=SIX,
-                angular_velocity=(3, 1, -2),
-                linear_velocity=(0, -1, -0.5),
-            )
-        ],
-        joints=[
-            Joint(
-                name="pivot",
-                type="spherical",
-                parent="world",
-                child="a",
-                parent_frame=Frame(position=(-0.5, 0, 0)),
-                child_frame=Frame(position=(-0.5, 0, 0)),
-            )
-        ],
-    )
+    at = {"position": (-0.5, 0, 0)}
+    keys = {"mass": 2.0, "com": (0.1, 0.2, -0.1), "inertia": SIX}
+    keys |= {"angular_velocity": (3, 1, -2), "linear_velocity": (0, -1, -0.5)}
+    scene = mechanisms.one_body({"type": "spherical", "parent_frame": at, "child_frame": at}, (), (0, 0, -9.81), **keys)
     for step in (1e-3, 0.05, 0.1):
         simulation = Simulation(scene, method=method, step=step)
         simulation.advance(200)
@@ -145,12 +122,8 @@ def test_wrenches_starting_and_ending_within_steps_keep_the_order(method):
     """Torque and force in world axes from 0.3 s to 0.7137 s; reference: piecewise DOP853."""
     torque, force, mass = np.array([0.4, -0.3, 0.5]), np.array([1.0, 2.0, -0.5]), 2.0
     w0 = np.array([0.5, 0.8, 0.1])
-    scene = Scene(
-        name="pushed",
-        gravity=(0, 0, 0),
-        bodies=[Body(name="a", mass=mass, inertia=SIX, angular_velocity=w0)],
-        forces=[ConstantWrench(name="push", body="a", torque=torque, force=force, axes="world", start=0.3, end=0.7137)],
-    )
+    push = ConstantWrench(name="push", body="a", torque=torque, force=force, axes="world", start=0.3, end=0.7137)
+    scene = mechanisms.one_body(None, [push], mass=mass, inertia=SIX, angular_velocity=w0)
 
     def rate(_, y, on):
         R, w = y[:9].reshape(3, 3), y[9:]
@@ -178,25 +151,10 @@ def test_wrenches_starting_and_ending_within_steps_keep_the_order(method):
 @pytest.mark.parametrize("method", ["lie_midpoint", "simo_wong", "bottasso_borri_candidate"])
 def test_a_torque_beyond_fixed_point_convergence_ends_with_a_status(method):
     """Spring with h omega far above 2 at both ends."""
-    scene = Scene(
-        name="stiff",
-        gravity=(0, 0, 0),
-        bodies=[
-            Body(name=name, mass=1.0, inertia=(0.1, 0.2, 0.2), position=(x, 0, 0))
-            for name, x in (("a", 0.0), ("b", 1.0))
-        ],
-        forces=[
-            SpringDamper(
-                name="rod",
-                parent="a",
-                child="b",
-                stiffness=1e6,
-                rest_length=0.9,
-                parent_point=(0, 0.1, 0),
-                child_point=(0, 0, 0.1),
-            )
-        ],
-    )
+    ends = {"parent": "a", "child": "b", "parent_point": (0, 0.1, 0), "child_point": (0, 0, 0.1)}
+    bodies = [Body(name=name, mass=1, inertia=(0.1, 0.2, 0.2), position=(x, 0, 0)) for name, x in (("a", 0), ("b", 1))]
+    rod = SpringDamper(name="rod", stiffness=1e6, rest_length=0.9, **ends)
+    scene = Scene(name="stiff", gravity=(0, 0, 0), bodies=bodies, forces=[rod])
     simulation = Simulation(scene, method=method, step=0.01)
     before = simulation.state()
     with pytest.raises(SimulationError, match="smaller step") as failure:
@@ -215,14 +173,9 @@ def test_drag_beyond_fixed_point_convergence_is_solved(method):
     The midpoint rule in world axes, v+ (1 + 5) = v (1 - 5) + h g; turning is as stiff, and stops.
     """
     mass, h = 2.0, 0.01
-    scene = Scene(
-        name="honey",
-        gravity=(0, 0, -9.81),
-        bodies=[
-            Body(name="a", mass=mass, inertia=SIX, angular_velocity=(0.5, 0.8, 0.1), linear_velocity=(0.4, -0.3, 0.2))
-        ],
-        forces=[Drag(name="honey", body="a", linear=10 * mass / h, angular=10 * 1.1 / h)],
-    )
+    drag = Drag(name="honey", body="a", linear=10 * mass / h, angular=10 * 1.1 / h)
+    keys = {"mass": mass, "inertia": SIX, "angular_velocity": (0.5, 0.8, 0.1), "linear_velocity": (0.4, -0.3, 0.2)}
+    scene = mechanisms.one_body(None, [drag], (0, 0, -9.81), **keys)
     simulation = Simulation(scene, method=method, step=h)
     v, r = np.array([0.4, -0.3, 0.2]), np.zeros(3)
     for _ in range(30):
@@ -239,23 +192,8 @@ def test_drag_beyond_fixed_point_convergence_is_solved(method):
 
 def pendulum():
     """Body that swings about its lower position at sqrt(m g a / (I + m a^2)) rad/s."""
-    return Scene(
-        name="pendulum",
-        gravity=(0, 0, -9.81),
-        bodies=[
-            Body(
-                name="a",
-                mass=1.0,
-                inertia=(1, 1, 1),
-                position=(0, 0, -1),
-                angular_velocity=(0.1, 0, 0),
-                linear_velocity=(0, 0.1, 0),
-            )
-        ],
-        joints=[
-            Joint(name="pivot", type="spherical", parent="world", child="a", child_frame=Frame(position=(0, 0, 1)))
-        ],
-    )
+    keys = {"position": (0, 0, -1), "angular_velocity": (0.1, 0, 0), "linear_velocity": (0, 0.1, 0)}
+    return mechanisms.one_body({"type": "spherical", "child_frame": {"position": (0, 0, 1)}}, (), (0, 0, -9.81), **keys)
 
 
 @pytest.mark.parametrize("method", ["stoermer_verlet", "lie_newmark", "rattle", "austin_krishnaprasad_wang"])
@@ -291,15 +229,9 @@ def test_unsupported_scenes_are_refused_with_applicable_methods(name, why):
 
 
 def test_two_spherical_joints_on_a_body_and_stabilisation_are_refused():
-    scene = Scene(
-        name="twice",
-        gravity=(0, 0, -1),
-        bodies=[Body(name="a", mass=1.0, inertia=(1, 1, 1))],
-        joints=[
-            Joint(name=name, type="spherical", parent="world", child="a", child_frame=Frame(position=(x, 0, 0)))
-            for name, x in (("one", 0.0), ("two", 1.0))
-        ],
-    )
+    scene = mechanisms.one_body({"type": "spherical", "child_frame": {"position": (0, 0, 0)}}, gravity=(0, 0, -1))
+    other = scene.joints[0].remade(name="other", child_frame={"position": (1, 0, 0)})
+    scene = scene.remade(joints=[*scene.joints, other])
     with pytest.raises(ValueError, match="one spherical joint per body, but a has more"):
         Simulation(scene, method="rattle")
     for kind in ("projection", "baumgarte"):

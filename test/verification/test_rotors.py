@@ -3,7 +3,7 @@
 
 import numpy as np
 import pytest
-from scene_files import filled, text_of
+from scene_files import cases, filled, text_of
 from scipy.integrate import solve_ivp
 
 from liegroup_core import SceneError, Simulation
@@ -15,14 +15,7 @@ from liegroup_core.scene.load import scene_from_text
 # In space, and planar where the axes are parallel or in the plane.
 ARM = text_of("arm_rotors.yaml")
 # {name: (tilt of the first axis, type, axis, more keys)} of the second joint
-SCENES = {
-    "hinges in a plane": (0, "revolute", [0, 1, 0], ""),
-    "hinges in space": (0.3, "revolute", [0, 1, 0.2], ""),
-    "slide in a plane": (0, "prismatic", [1, 0, 0.4], ""),
-    "slide in space": (0.3, "prismatic", [0.2, 1, 0.2], ""),
-    "screw": (0.2, "screw", [0, 1, 0.2], ", pitch: 0.05"),
-    "held by a wheel": (0.3, "revolute", [1, 0, 0.2], ""),
-}
+SCENES = cases("rotors_scenes")
 ON_JOINTS = [name for name, method in METHODS.items() if method.family != "rotation"]
 
 

@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from scene_files import cases
 from true_error import distance_at
 
 from liegroup_core import Simulation, SimulationError, load_scene
@@ -15,21 +16,7 @@ from liegroup_core.scene.description import Body, Frame, Joint, LinearSpringDamp
 
 FORCE = {"heavy_top": 40.0, "four_bar": 5.0, "double_pendulum": 2.0, "free_body": 20.0}  # N
 ON, OFF = 0.1203, 0.2417  # s, inside a step
-CASES = [
-    ("heavy_top", "rkmk4", 2e-3, "none"),
-    ("heavy_top", "rkmk8", 2e-2, "none"),
-    ("heavy_top", "rkmk54", 2e-2, "none"),
-    ("heavy_top", "generalized_alpha", 1e-3, "none"),
-    ("four_bar", "generalized_alpha", 2e-4, "none"),
-    ("double_pendulum", "generalized_alpha", 1e-3, "none"),
-    ("heavy_top", "constrained_rattle", 1e-3, "none"),
-    ("four_bar", "rkmk4", 5e-4, "projection"),
-    ("four_bar", "rkmk2", 1e-4, "baumgarte"),
-    ("double_pendulum", "rkmk4", 5e-3, "none"),
-    ("double_pendulum", "constrained_rattle4", 5e-3, "none"),
-    ("free_body", "lie_midpoint", 5e-3, "none"),
-    ("free_body", "coadjoint_rkmk4", 2e-2, "none"),
-]
+CASES = cases("running_error_cases")
 
 
 def pushed(scene, method, step, stabilisation):
@@ -289,15 +276,7 @@ def angle_between(one, other):
     return math.atan2(0.5 * np.linalg.norm(axis), 0.5 * (np.trace(r) - 1.0))
 
 
-@pytest.mark.parametrize(
-    "inertia, rate",
-    [
-        ((1.0, 2.0, 3.0), (1e-6, 1.0, 0.0)),
-        ((0.6340416972471647, 0.9031129864471292, 0.9534978894806515), (1e-6, 1.0, 0.0)),
-        ((0.7, 0.8, 0.9), (1e-5, 2.0, 1e-7)),
-        ((0.55, 0.7, 0.95), (1e-7, 2.5, 1e-6)),
-    ],
-)
+@pytest.mark.parametrize("inertia, rate", cases("the_estimate_knows_an_error_that_is_all_rounding"))
 @pytest.mark.turn(3)
 def test_the_estimate_knows_an_error_that_is_all_rounding(inertia, rate):
     """Against Jacobi's elliptic functions in 30 digits; the steps are so fine that no tolerance matters."""

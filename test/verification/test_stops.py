@@ -8,7 +8,7 @@ import mpmath
 import numpy as np
 import pytest
 from convergence import fitted_order
-from scene_files import text_of
+from scene_files import cases, text_of
 from stop_scenes import PRESS
 
 from liegroup_core import SceneError, Simulation, SimulationError, reports
@@ -412,16 +412,7 @@ def rotor(rate, kind="revolute"):
     return scene_from_text(text.replace("KIND", kind).replace("LINEAR", linear))
 
 
-@pytest.mark.parametrize(
-    "kind, rate, step",
-    [
-        ("revolute", 400.0, 0.01),
-        ("revolute", 1500.0, 0.01),
-        ("revolute", 5.0, 1.0),
-        ("cylindrical", 500.0, 0.01),
-        ("screw", 500.0, 0.01),
-    ],
-)
+@pytest.mark.parametrize("kind, rate, step", cases("a_stop_after_many_turns_is_met_at_more_than_half_a_turn_per_step"))
 def test_a_stop_after_many_turns_is_met_at_more_than_half_a_turn_per_step(kind, rate, step):
     """The angle is rate t until STOP, and then 2 STOP - rate t.
 

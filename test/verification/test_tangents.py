@@ -128,19 +128,7 @@ def test_tangents_of_scenes(name):
 
 def test_tangents_of_curved_couplings_and_of_switches():
     """A coupling q_1 = 0.7 q_2 + 0.3 q_2^2 - 0.2 q_2^3, sliding friction, a compliant stop, and held joints."""
-    text = (
-        "name: c\ngravity: [0, 0, -9.81]\nbodies:\n"
-        "  - {name: a, mass: 1.0, inertia: [0.02, 0.03, 0.02], com: [0.1, 0, 0], angular_velocity: [0, 0.42, 0.56]}\n"
-        "  - {name: b, mass: 1.5, inertia: [0.02, 0.03, 0.02], com: [0.2, 0.1, 0], angular_velocity: [0, 1, 0]}\n"
-        "  - {name: c, mass: 0.5, inertia: [0.02, 0.03, 0.02], com: [0.1, 0.1, 0], angular_velocity: [0.0, 2.0, 0]}\n"
-        "joints:\n"
-        "  - {name: one, type: revolute, parent: world, child: a, child_frame: {axis: [0, 0.6, 0.8]}}\n"
-        "  - {name: two, type: revolute, parent: world, child: b, child_frame: {axis: [0, 1, 0]}}\n"
-        "  - {name: three, type: revolute, parent: world, child: c, child_frame: {axis: [0, 1, 0]},\n"
-        "     friction: {coulomb: 0.1, viscous: 0.3},\n"
-        "     limits: {lower: -1, upper: 0.02, stiffness: 300.0, damping: 2.0}}\n"
-        "couplings: [{name: cam, joint: one, other: two, ratio: 0.7, curve: [0.3, -0.2]}]\n"
-    )
+    text = text_of("chain_tangents.yaml")
     simulation = Simulation(scene_from_text(text, "test"), "rkmk4", 1e-4, estimate=False, quiet=True)
     simulation.advance(200)
     assert differ(simulation) > 0

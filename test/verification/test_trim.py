@@ -147,6 +147,7 @@ def test_efforts_hold_a_pose(scene, joints, freedoms):
 
 
 @pytest.mark.parametrize("file", ["five_bar.yaml", "scissor_lift.yaml", "stewart.sdf"])
+@pytest.mark.volume(1)
 def test_a_held_coordinate_of_a_loop_keeps_its_value(file):
     """Its own effort holds it while all others move to an equilibrium, in the five bar by more than 2 rad.
 
@@ -216,20 +217,9 @@ def test_a_humanoid_stands_on_springs():
 
 def pendulum(angle, friction):
     """A rod of 1 kg that hangs 0.5 m below its pin, turned by an angle."""
-    return scene_from_text(
-        f"""
-name: pendulum
-gravity: [0, 0, -9.81]
-bodies:
-  - {{name: rod, mass: 1.0, inertia: [0.02, 0.02, 0.01], position: [{-0.5 * np.sin(angle)}, 0, {-0.5 * np.cos(angle)}],
-     rotation_vector: [0, {angle}, 0]}}
-joints:
-  - {{name: pin, type: revolute, parent: world, child: rod, friction: {{{friction}}},
-     parent_frame: {{rotation_vector: [-1.5707963267948966, 0, 0]}},
-     child_frame: {{position: [0, 0, 0.5], rotation_vector: [-1.5707963267948966, 0, 0]}}}}
-""",
-        source="test",
-    )
+    at, joint = f"{-0.5 * np.sin(angle)}, 0, {-0.5 * np.cos(angle)}", f" friction: {{{friction}}},"
+    text = filled(text_of("pendulum_on_a_spring.yaml"), at=at, angle=angle, joint=joint, stiffness=0)
+    return scene_from_text(text, source="test")
 
 
 @pytest.mark.parametrize(
