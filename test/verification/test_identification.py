@@ -759,7 +759,7 @@ def test_bristles_are_unknown_only_where_they_stick_under_load(deep, speed, held
 
 
 @pytest.mark.volume(1)
-@pytest.mark.turn(2)
+@pytest.mark.turn(4)
 def test_friction_of_a_box_that_slides_and_stops_is_found():
     """It stops after 0.34 s. Steps of its own for each part are as exact as short ones everywhere."""
     truth, told = {"DEEP": 0.05, "SPEED": 1.0, "RUBS": 0.3}, []
