@@ -18,26 +18,25 @@ SIDED = np.array([[0.5, 0.0, 0.0], [1.0, -0.25, 0.0], [1.5, -0.75, 1.0 / 6.0]])
 SMALLER = 8.0  # factor between two sizes
 MOST_SIZES = 8
 ENOUGH = 1e-12  # relative error at which no smaller h is tried
-RESOLVED = 1e-3  # and from which on that of order six falls with h, or is that of round-off
 KINK = 0.01  # second difference at a kink, relative to the first; h f'' / (2 f') is below 1e-3
 RUN_NOISE = 1e-11  # of values of a run to 1e-13, relative
 ROUND_OFF = 4.0 * np.finfo(float).eps  # of a value; the weights add up to less than 2
 
 
-def of_values(values, h, weights=WEIGHTS):
+def of_values(values, h, weights=WEIGHTS, noise=ROUND_OFF):
     """Derivative, an estimate of its error, and whether that is small, from values at (h, -h), (2h, -2h), (3h, -3h).
 
-    values : (3, 2, ...)
+    values : (3, 2, ...);  noise : of values, relative; errors of which it makes most are small
     """
     second, fourth, sixth = np.tensordot(weights, values[:, 0] - values[:, 1], 1) / h
     last, before = np.abs(sixth - fourth), np.abs(fourth - second)
     # The differences of successive orders decrease like a geometric sequence; of SIDED the first may vanish by chance.
     # Where only the outer values are beyond a kink, the first one is zero and the last one is not.
     ratio = np.divide(last, before, out=np.ones_like(last), where=before > 0.0)
-    rounding = ROUND_OFF * np.abs(values).max(axis=(0, 1)) / h
-    error = last * (np.minimum(ratio, 1.0) if weights is WEIGHTS else 1.0) + rounding
+    most = np.abs(values).max(axis=(0, 1)) / h
+    error = last * (np.minimum(ratio, 1.0) if weights is WEIGHTS else 1.0) + ROUND_OFF * most
     size = _largest(np.abs(sixth))
-    return sixth, error, _largest(error) <= max(ENOUGH * size, 2.0 * _largest(rounding))
+    return sixth, error, _largest(error) <= max(ENOUGH * size, 2.0 * noise * _largest(most))
 
 
 def _largest(values):
@@ -55,13 +54,13 @@ def kinked(values, base):
     return (near > KINK * first) & (near > RUN_NOISE * size) & (far < 3.0 * near)
 
 
-def derivative(function, h, base=None, weights=WEIGHTS):
+def derivative(function, h, base=None, weights=WEIGHTS, noise=ROUND_OFF):
     """Derivative of a function of one number at 0, and an estimate of its error.
 
     function : returns an array; may raise SimulationError away from 0
     h        : first distance of the values
     base     : the value at 0; if it is given, a function with a kink there has no derivative
-    weights  : WEIGHTS, or SIDED
+    weights  : WEIGHTS, or SIDED;  noise : as of `of_values`
     returns (derivative, error), arrays of the same shape; the error is inf if no distance has values
     """
     best = None
@@ -74,11 +73,9 @@ def derivative(function, h, base=None, weights=WEIGHTS):
         if base is not None and kinked(values, base).any():
             h /= SMALLER
             continue
-        found, error, is_small = of_values(values, h, weights)
+        found, error, is_small = of_values(values, h, weights, noise)
         if best is None or _largest(error) < _largest(best[1]):
             best = found, error
-        elif _largest(best[1]) <= RESOLVED * _largest(np.abs(best[0])):
-            break
         if is_small:
             break
         h /= SMALLER
