@@ -565,6 +565,7 @@ def _compile_all(described):
                 return each if same is not _differ_in_numbers else _with_numbers(each, laws)
     program, signals, found, owners, needed = Program(), {}, [], [], []
     program.new(), program.new(), program.new(), program.new()  # WITNESS, CAUSE, LAW_TIME, FOREIGN
+    zero = program.number(0.0)  # the first number: in each comparison with it, it is the first argument
     for law in laws:
         try:
             found.append(law.compile(program, signals))
@@ -575,7 +576,6 @@ def _compile_all(described):
         if law.period is None:
             needed += [*chain(*found[-1].outputs), *found[-1].rates]
     kinks = program.branched(needed) - program.followed
-    zero = program.number(0.0)
     # Comparisons of one surface share its branch, so none is in a block that others skip; the first one is its kink.
     alike = Counter(program.code[i][4] for i in kinks)
     apart = {program.code[i][1] for i in kinks if alike[program.code[i][4]] > 1}

@@ -751,6 +751,21 @@ def test_a_ball_that_dives_into_a_box_is_pushed_out(speed, depth, caplog):
     assert ("m deep; its bodies pass through each other at 0.6 m" in caplog.text) == (depth > 0.3)
 
 
+@pytest.mark.parametrize("first", [True, False])
+def test_balls_that_are_far_apart_have_no_depth(first, caplog):
+    """Wherever their contact is in the list: 1 m apart, then one passes the other at 0.21 m, and none touches."""
+    bodies = [
+        "{name: a, shape: {type: sphere, radius: 0.1, mass: 1}}",
+        "{name: b, shape: {type: sphere, radius: 0.1, mass: 1}, position: [1, 0.21, 0], linear_velocity: [-9, 0, 0]}",
+    ]
+    hit, floor = "name: hit, body: a, other: b", "name: floor, body: a, plane: {point: [0, 0, -5]}"
+    contacts = [f"{each}, stiffness: 1e5, damping: 0.5" for each in ((hit, floor) if first else (floor, hit))]
+    simulation = Simulation(scene(bodies, contacts, gravity=0.0), accuracy=1e-6)
+    simulation.advance_to(0.3)
+    assert not caplog.text and simulation.event_count == 0
+    assert simulation.sample().signals["hit.depth"] == pytest.approx(0.2 - math.hypot(1 - 9 * 0.3, 0.21), rel=1e-12)
+
+
 @pytest.mark.parametrize("aside", [0.0, 0.04])
 @pytest.mark.parametrize("length, friction", [(0.2, 0.5), (0.6, 0.5), (0.6, 0.0)])
 def test_a_bar_on_a_box_bears_where_its_weight_is(length, friction, aside):
