@@ -30,7 +30,7 @@ from liegroup_core.simulation import Simulation
 
 from .channels import StateChannels
 from .coordinates import ANGLE, Coordinates, scales_of
-from .differences import RUN_NOISE, SIDED, WEIGHTS, derivative
+from .differences import SIDED, WEIGHTS, derivative
 from .numbers import Sides
 from .probe import Probe
 
@@ -318,7 +318,7 @@ class Variations:
             for whole in (True, False):  # near enough that no time is between two events, if that is possible
                 with contextlib.suppress(SimulationError):
                     size = NEAR / max(self._sizes(self.columns)[c], 1.0)
-                    return derivative(lambda s, whole=whole: values(c, s, whole), size, base, weights, RUN_NOISE)
+                    return derivative(lambda s, whole=whole: values(c, s, whole), size, base, weights, TIGHT)
             self.rough[c] = True
             return np.zeros((2, len(times), len(outputs[0])))
 
