@@ -29,6 +29,7 @@ from liegroup_core.errors import SceneError
 
 # Squares and products of three numbers of this size still fit into a float (1.8e308).
 LARGEST_NUMBER = 1e100
+MOST_FRICTION = 100.0  # a slope of 89.4 degrees
 QUOTE = "between braces or brackets, quote a text that has a comma"
 
 # Four components rounded to three digits have errors up to 5e-4, their norm at most 1e-3.

@@ -38,6 +38,7 @@ from pydantic import BeforeValidator, Field, PrivateAttr, model_validator
 from liegroup_core.errors import SceneError
 from liegroup_core.fields.frames import Placed, rotation_z_to
 from liegroup_core.fields.values import (
+    MOST_FRICTION,
     Described,
     Direction,
     NotNegative,
@@ -70,7 +71,6 @@ LOOK = 0.25
 # Least depth at rest by the coordinates: with round-off of 2.2e-16 of these the force is right to a thousandth.
 RESOLVED = 1e3 * np.finfo(float).eps
 TIMES = 1e-9, 1e5  # s, sqrt(mass / stiffness): clocks have whole ns; and a contact that acts within a day
-MOST_FRICTION = 100.0  # a slope of 89.4 degrees
 MOST_DAMPING = 1e6  # s/m: a point enters with 1 um/s at most, where the force k d (1 + c d') doubles
 # Of sqrt(mass / stiffness of the friction): what sticks vibrates 300 times; and beyond, friction is that of a fluid.
 LEAST_SETTLES, MOST_SETTLES = 1e-3, 1e3

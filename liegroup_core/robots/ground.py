@@ -84,6 +84,10 @@ def add_contacts(robot, options, grouping, parts, body_of, taken):
             friction = ground.friction
             if friction is None:  # that of MuJoCo; others have no planes
                 friction = max(FRICTION if collision.friction is None else collision.friction(), rubs)
+                if friction > values.MOST_FRICTION:
+                    most = f"friction of contacts above {values.MOST_FRICTION:g}, taken as that"
+                    robot.remark(most, f"{friction:.3g} of {link.name}")
+                    friction = values.MOST_FRICTION
             entry = {"name": f"{scene_name(link.name)[:50]}_ground", "type": "contact", "body": body_of[id(group)]}
             entry |= {"shape": shape | frame_keys(pose), "sinks": ground.sinks, "restitution": ground.restitution}
             entry |= {"friction": friction} if friction else {}

@@ -76,7 +76,13 @@ def test_collision_shapes_of_each_format_become_the_same_contacts(kind, tmp_path
 
 
 @pytest.mark.parametrize(
-    "of_gazebo, expected", [("", 0.9), ("<mu1>0.7</mu1><kp>1e6</kp>", 0.7), ('<mu1 value="0.7"/><kp>1e6</kp>', 0.7)]
+    "of_gazebo, expected",
+    [
+        ("", 0.9),
+        ("<mu1>0.7</mu1><kp>1e6</kp>", 0.7),
+        ('<mu1 value="0.7"/><kp>1e6</kp>', 0.7),
+        ("<mu1>1e14</mu1><kp>1e6</kp>", 100.0),
+    ],
 )
 def test_friction_of_a_contact_element(of_gazebo, expected, tmp_path):
     """Bullet's lateral_friction, and mu1 of Gazebo as a text or as an attribute; a note names what is not mapped."""
@@ -90,6 +96,7 @@ def test_friction_of_a_contact_element(of_gazebo, expected, tmp_path):
     assert "stiffness in <contact> of links (foot)" in left
     assert "contact_coefficients of links (trunk)" in left
     assert ("numbers of contacts in <gazebo>, but for mu1 (foot)" in left) == bool(of_gazebo)
+    assert ("friction of contacts above 100, taken as that: 1e+14 of foot" in scene.notes) == (expected == 100.0)
     assert "contact of links" not in left and "gazebo (trunk)" not in left
 
 

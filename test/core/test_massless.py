@@ -34,6 +34,9 @@ ABOVE = "parent_frame: {}, child_frame: {position: [0, 0, 1]}"
 END = "parent_frame: {}, child_frame: {position: [0, 0, 0.5]}"
 HINGE = "parent_frame: {axis: [0, 1, 0]}, child_frame: {position: [0, 0, 1], axis: [0, 1, 0]}"
 CENTRE = "parent_frame: {position: [0, 0, -1]}, child_frame: {}"
+CONTACT = (
+    "forces: [{{name: c, type: contact, body: {}, shape: {{type: sphere, radius: 1}}, stiffness: 1, damping: 1}}]\n"
+)
 REMEDY = "where it has no inertia: give it inertia there, or use another joint"
 
 
@@ -234,6 +237,9 @@ def test_a_rotation_without_inertia_is_refused_in_one_line(bodies, joints, text)
     lines = (HEAD + "bodies:\n" + bodies + "joints:\n" + "".join(joints)).splitlines()
     name = message.split('"')[1]
     assert f"name: {name}," in lines[int(line) - 1] and place[0] == message.split(": ")[1][:6]
+    with pytest.raises(SceneError) as caught:  # a contact has states, which move no body
+        make_layout(scene(bodies, *joints, extra=CONTACT.format(name if place[0] == "bodies" else bodies[11:14])))
+    assert text in str(caught.value)
 
 
 @pytest.mark.parametrize(("bodies", "kind", "child", "frames"), [
