@@ -96,7 +96,8 @@ class Resting:
         for efforts in (*np.eye(len(self.indices)), np.zeros(len(self.indices))):
             self.apply(efforts)
             columns.append(accelerations(u))
-        return np.array([column - columns[-1] for column in columns[:-1]]).reshape(-1, len(columns[-1])).T
+        found = np.array(columns)
+        return (found[:-1] - found[-1]).T
 
     def hold(self, accelerations, u, pushed, inputs):
         """Inputs (k,) and efforts (r,) that hold the pose; None if nothing does.

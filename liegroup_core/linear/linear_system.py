@@ -270,7 +270,7 @@ def system_of(probe, inputs=None, outputs=None, independent=None, preferred=(), 
         places = np.flatnonzero(~is_law | matrix[:, :n].any(axis=0))
     else:
         places = np.array([all_states.index(name) for name in states], dtype=int)
-    used = np.append(places, np.arange(n, len(matrix[0])))
+    used = np.append(places, np.arange(n, matrix.shape[1]))
     matrix, error = (each[np.append(places, np.arange(n, len(each)))][:, used] for each in (matrix, error))
     slope, states = (signs * probe.slopes()[0][rows])[places], tuple(all_states[k] for k in places)
     n = len(places)

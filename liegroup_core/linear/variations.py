@@ -386,7 +386,7 @@ class Variations:
     def _frame(self, probe, outputs, used):
         """(k, p) derivatives of p OutputChannels by those of f freedoms and their f rates that are used (2 f,)."""
         f, base = probe.freedoms, outputs.of(probe.neighbour())
-        ways = np.eye(2 * f)[used].reshape(-1, 2, f).swapaxes(1, 2) * self._scales[:, None]
+        ways = np.eye(2 * f)[used].reshape(used.sum(), 2, f).swapaxes(1, 2) * self._scales[:, None]
         parts = [
             derivative(lambda s, w=w: outputs.apart(outputs.of(probe.neighbour(s * w)), base), ANGLE) for w in ways
         ]

@@ -181,3 +181,19 @@ def test_shapes_of_modes_move_and_stay_closed(name):
         moved = [each.pose - middle for each in (one, other)]
         assert 0.05 < np.abs(moved[0]).max() and np.abs(moved[0] + moved[1]).max() < 0.7 * np.abs(moved[0]).max()
         assert max(one.joint_residuals.values()) < 1e-12
+
+
+@pytest.mark.parametrize("joint", ["fixed, parent: world", "revolute, driven: true, parent: world"])
+def test_a_scene_without_freedom(joint, tmp_path, capsys):
+    """It has no states, it stands, and nothing of it changes with its numbers."""
+    scene, run = tmp_path / "held.yaml", tmp_path / "run.mcap"
+    body, ends = "{name: a, mass: 1, inertia: [1, 1, 1]}", "child: a, child_frame: {}"
+    head = f"name: held\ngravity: [0, 0, -9.81]\nbodies: [{body}]\n"
+    scene.write_text(f"{head}joints: [{{name: j, type: {joint}, {ends}}}]\n")
+    assert answer(capsys, "linearise", str(scene))["A"] == answer(capsys, "modes", str(scene))["modes"] == []
+    assert answer(capsys, "trim", str(scene))["stability"] == "stable"
+    by_mass = answer(capsys, "sensitivities", str(scene), "--by", "a.mass", "--of", "a.x", "--at", "0.1")
+    assert np.ravel(by_mass["derivatives"]).tolist() == [0.0]
+    assert main(["run", str(scene), "--duration", "0.1", "--out", str(run)]) == 0
+    assert main(["inverse", str(scene), "--motion", str(run)]) == 2
+    assert "no joint moves freely: the efforts of driven joints are those of" in capsys.readouterr().err
