@@ -70,7 +70,7 @@ def inverse_dynamics(simulation, times, positions, rates, accelerations, joints,
     joints : names of the m independent coordinates
     inputs : names of efforts, see channels.py; None: those of the joints
     Raises SceneError for unknown or dependent names and for wheels, which have no positions of their own,
-    SimulationError where the loops cannot be closed, and beyond a stop. Taut cables stay taut.
+    SimulationError where the loops cannot be closed, beyond a stop, and where states of laws act. Taut cables stay taut.
     Accuracy: test/verification/test_linear.py.
     """
     probe = Probe(simulation)
@@ -89,6 +89,7 @@ def inverse_dynamics(simulation, times, positions, rates, accelerations, joints,
     for time, q, v, a in zip(times, positions, rates, accelerations):
         probe.go_to_time(time)
         _go(probe, joints, q, v, lengths)
+        _refuse_states(probe, time)
         stops.follow()
         if beyond := stops.beyond():
             raise SimulationError(f"the motion is beyond a stop at {time:.9g} s: {beyond}")
@@ -184,4 +185,17 @@ def _go(probe, joints, q, v, lengths):
             break
     else:
         raise SimulationError(f"the positions {np.asarray(q).tolist()} of {', '.join(joints)} are not reached")
-    probe.go_to(Coordinates(probe, joints).with_rates(np.asarray(v)))
+    coordinates = Coordinates(probe, joints)
+    states = np.zeros(len(coordinates.moving) - len(joints))  # of laws, the last ones
+    probe.go_to(coordinates.with_rates(np.concatenate([v, states])))
+
+
+def _refuse_states(probe, time):
+    """Raise SimulationError if a state of a law acts: what it is at a time follows from the motion before."""
+    acts = probe.acts
+    names = dict.fromkeys(probe.layout.freedoms[k].name.partition(".")[0] for k in probe.state_freedoms if acts[k])
+    if names:
+        raise SimulationError(
+            f"inverse dynamics needs forces that follow from the pose and the rates: at t = {time:.9g} s the states of "
+            f"{', '.join(names)} act"
+        )

@@ -197,3 +197,25 @@ def test_a_scene_without_freedom(joint, tmp_path, capsys):
     assert main(["run", str(scene), "--duration", "0.1", "--out", str(run)]) == 0
     assert main(["inverse", str(scene), "--motion", str(run)]) == 2
     assert "no joint moves freely: the efforts of driven joints are those of" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("friction", ["", ", friction: 0.5, slip: 1e-3"])
+def test_inverse_dynamics_of_a_tip_that_touches(friction, tmp_path, capsys):
+    """A free motion on a plane needs no efforts; friction has states, whose past a motion does not give."""
+    scene, run = tmp_path / "tip.yaml", tmp_path / "run.mcap"
+    tip = "shape: {type: sphere, radius: 0.1, position: [0, 0, -1]}, plane: {point: [0, 0, -1.05]}"
+    scene.write_text(
+        "name: tip\ngravity: [0, 0, -9.81]\n"
+        "bodies: [{name: a, mass: 1, inertia: [1, 1, 1], angular_velocity: [0, 1, 0]}]\n"
+        "joints: [{name: j, type: revolute, parent: world, child: a, parent_frame: {axis: [0, 1, 0]}}]\n"
+        f"forces: [{{name: floor, type: contact, body: a, {tip}, stiffness: 1000, damping: 1{friction}}}]\n"
+    )
+    assert main(["run", str(scene), "--duration", "0.1", "--rate", "3000", "--out", str(run)]) == 0
+    assert main(["inverse", str(scene), "--motion", str(run)]) == (1 if friction else 0)
+    told = capsys.readouterr()
+    if friction:
+        assert "at t = 0 s the states of floor act" in told.err
+    else:
+        assert main(["inverse", str(scene), "--motion", str(run), "--json"]) == 0
+        answer = json.loads(capsys.readouterr().out)
+        assert answer["joints"][0]["peak_effort"] <= 2.0 * answer["sampling"]
