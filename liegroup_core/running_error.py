@@ -54,6 +54,7 @@ from liegroup_core.engine import BAUMGARTE_STEPS, Engine
 from liegroup_core.error_estimate import UNPREDICTABLE, ErrorEstimate
 from liegroup_core.errors import SimulationError
 from liegroup_core.methods.added_inertia import AddedInertia
+from liegroup_core.methods.munthe_kaas.error_control import BITS, RATIO
 from liegroup_core.methods.table import METHODS
 from liegroup_core.observables.distances import distances
 from liegroup_core.settings import of_engine
@@ -75,9 +76,7 @@ PARTS = 2  # of a companion's step with sampled laws, and up to an event, whose 
 LEAST, LEAST_HIGH = 1.0, 0.75
 CONTROLLED = 0.5  # the same with error control
 EVENTS = 1.0  # with events: up to one the companion takes smaller steps, and the distance is the error
-BITS = 4  # number of bits of its state that the companion rounds away with an accuracy
-# q with error control, of given tolerances of an explicit method, else. Tolerances of order 8 differ by q^8 = 2^BITS.
-EXPLICIT_RATIO, RATIO = 4.0 / 3.0, 2.0 ** (BITS / 8.0)
+EXPLICIT_RATIO = 4.0 / 3.0  # q of given tolerances of an explicit method; else RATIO
 
 
 class RunningError:

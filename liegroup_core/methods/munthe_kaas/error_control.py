@@ -31,9 +31,15 @@ from . import steps
 
 # Bounds of the ratio of two successive substeps, and safety factor of the next one.
 LARGEST_GROWTH, LARGEST_CUT, SAFETY = 5.0, 0.2, 0.85
-# A companion with an accuracy divides a substep that would begin and end where that of the simulation does, and its
-# substeps may grow by more: equal substeps have equal errors. In the golden ratio, parts differ most from equal ones.
+# Of a companion with an accuracy: number of bits of its state that it rounds away, and ratio q of its substeps to those
+# of the simulation. Tolerances of order 8 differ by q^8 = 2^BITS.
+BITS = 4
+RATIO = 2.0 ** (BITS / 8.0)
+# It divides a substep that would begin and end where that of the simulation does: equal substeps have equal errors. In
+# the golden ratio, parts differ most from equal ones.
 DIVIDED = 0.5 * (math.sqrt(5.0) - 1.0)
+# Its substeps may grow by more, and by at least q; by 1 / DIVIDED, that after a division would again be the same.
+MORE = 1.5
 # Round-off of a pose, m or rad, as it appears in an error estimate: stiff forces turn it into accelerations. With
 # h at their fastest oscillation, these change velocities by about the round-off of a pose divided by h.
 ROUNDING = 0.03 * 2.0**-52
@@ -107,7 +113,7 @@ def judge(model, work, scheme, size, status, twist, control):
             growth = error_3 * control.atol[0] / (size * size * size * size)
         if growth > JUMP * control.growth[0] > 0.0:
             error = max(error, error_3)
-    most = LARGEST_GROWTH if control.coarse[0] == 0.0 else LARGEST_GROWTH / DIVIDED
+    most = LARGEST_GROWTH if control.coarse[0] == 0.0 else LARGEST_GROWTH * MORE
     change = _change(error, most, len(scheme.error))
     if control.rejected[0] != 0.0:
         change = min(1.0, change)  # else stability, or a force with kinks, would have every second substep rejected
