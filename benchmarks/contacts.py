@@ -77,6 +77,12 @@ ROBOTS = {
         "talos_data/srdf/talos.srdf",
         "leg_left_6_link, leg_right_6_link",
     ),
+    "TIAGo": (
+        "tiago_description/robots/tiago_no_hand.urdf",
+        "",
+        "wheel_left_link, wheel_right_link, caster_back_left_2_link, caster_back_right_2_link, "
+        "caster_front_left_2_link, caster_front_right_2_link",
+    ),
 }
 HOLD, DROP, DAMPING, LENGTH = 2.0, 0.01, 0.02, 0.4  # weight times m; m; s; m
 
@@ -245,11 +251,12 @@ def robot_scene(path, srdf, links, folder):
     root = plain.bodies[0]
     place = (root.position[0], root.position[1], root.position[2] + DROP)
     hold = f"servos: {{stiffness: {stiffness}, damping: {damping}, joints: [{', '.join(moving)}]}}\n"
-    limits = {force.joint: force.effort_limit for force in scene(hold).forces if force.type == "servo"}
+    limits = {force.joint: force.effort_limit for force in scene(hold).forces if force.type.endswith("servo")}
     inputs, powers = [], []
     for k, name in enumerate(moving):
         inputs.append(f"q{k}: {name}.position, w{k}: {name}.velocity")
-        also = sum(f.damping for f in plain.forces if f.type == "torsional_spring_damper" and f.joint == name)
+        dampers = [force for force in plain.forces if force.type in ("torsional_spring_damper", "linear_spring_damper")]
+        also = sum(damper.damping for damper in dampers if damper.joint == name)
         effort = f"{stiffness}*({at[name]} - q{k}) - {damping}*w{k}"
         if limits[name] is not None:
             effort = f"clip({effort}, -{limits[name]}, {limits[name]})"

@@ -190,7 +190,7 @@ def _followed(simulation, columns):
     known = joints_of_motions(probe)
     coordinates = Coordinates(probe, preferred=[name for name in given if name in known])
     if not coordinates.names:
-        raise StateError("no joint moves freely: the efforts of driven joints are those of `liegroup_sim run --torques`")
+        raise StateError("no joint moves freely: `liegroup_sim run --torques` has the efforts of driven joints")
     if set(coordinates.names) <= set(given):
         return coordinates.names
     count = counted(len(coordinates.names), "independent coordinate")
