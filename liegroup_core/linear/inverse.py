@@ -70,7 +70,7 @@ def inverse_dynamics(simulation, times, positions, rates, accelerations, joints,
     joints : names of the m independent coordinates
     inputs : names of efforts, see channels.py; None: those of the joints
     Raises SceneError for unknown or dependent names and for wheels, which have no positions of their own,
-    SimulationError where the loops cannot be closed, beyond a stop, and where states of laws act. Taut cables stay taut.
+    SimulationError where the loops cannot be closed, beyond a stop, and where states of laws act. Taut cables stay so.
     Accuracy: test/verification/test_linear.py.
     """
     probe = Probe(simulation)
