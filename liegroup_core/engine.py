@@ -4,6 +4,7 @@
 import contextlib
 import copy
 import time
+import weakref
 from collections.abc import Callable, Iterator
 from fractions import Fraction
 from typing import Any
@@ -42,6 +43,7 @@ BAUMGARTE_STEPS = 10
 # Largest entry of R R^T - 1 that `set_state` accepts.
 NO_ROTATION = 1e-6
 METHOD = "rkmk4"  # default
+ENGINES: weakref.WeakSet["Engine"] = weakref.WeakSet()  # of this process, for `halt_all`
 # Number of steps per call of a kernel at first, and range of the wall time in s of later calls.
 FIRST_BLOCK, QUICK, SLOW = 16, 0.01, 0.03
 
@@ -51,6 +53,12 @@ def _next_block(steps, seconds):
     if seconds < QUICK:
         return 2 * steps
     return max(1, steps // 2) if seconds > SLOW else steps
+
+
+def halt_all():
+    """Halt the engines of all threads: a signal has come, which Python handles only between two calls of kernels."""
+    for engine in tuple(ENGINES):
+        engine.halt()
 
 
 def _stabilised(model, kind, constant, step):
@@ -156,6 +164,7 @@ class Engine:
         self._start = initial_state(self.layout.centred)
         self._block, self._halted = FIRST_BLOCK, False
         warm_up(self._touch)
+        ENGINES.add(self)
 
     def __copy__(self) -> "Engine":
         return copy.deepcopy(self)  # a shallow copy would share the state

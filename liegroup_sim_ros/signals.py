@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Signals that end a program: handlers set a flag, and the program ends in order when it sees the flag."""
 
+import os
 import signal
+import sys
 import threading
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
@@ -38,6 +40,20 @@ def end_as_by_ctrl_c():
     """Let all SIGNALS raise KeyboardInterrupt."""
     for number in handled():
         signal.signal(number, signal.default_int_handler)
+
+
+def halt_on_signals():
+    """Let a signal halt all simulations: Python calls handlers between two calls of kernels, which may be minutes."""
+    reads, writes = os.pipe()
+    os.set_blocking(writes, False)
+    signal.set_wakeup_fd(writes, warn_on_full_buffer=False)
+
+    def wait():
+        while number := os.read(reads, 1):
+            if number[0] in SIGNALS and "liegroup_core.engine" in sys.modules:  # else nothing runs
+                sys.modules["liegroup_core.engine"].halt_all()
+
+    threading.Thread(target=wait, daemon=True).start()
 
 
 def ignore():

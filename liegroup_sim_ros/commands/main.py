@@ -20,7 +20,7 @@ from importlib import import_module
 
 from liegroup_core.errors import LieGroupSimError
 from liegroup_core.robots.access import anywhere
-from liegroup_sim_ros.signals import end_as_by_ctrl_c, ignore
+from liegroup_sim_ros.signals import end_as_by_ctrl_c, halt_on_signals, ignore
 from liegroup_sim_ros.version import __version__
 
 from .arguments import Parser
@@ -102,6 +102,8 @@ def main(args=None):
     """Run the command; returns the exit code."""
     is_program, args = args is None, sys.argv[1:] if args is None else args
     end_as_by_ctrl_c()
+    if is_program:
+        halt_on_signals()
     try:
         arguments = make_parser(args[0] if args else None).parse_args(args)
         with anywhere(getattr(arguments, "allow_files", False)):

@@ -2,11 +2,13 @@
 """Wrong parameters and files of the node and of every subcommand: one line on stderr, and exit code 2."""
 
 import json
+import resource
 import shlex
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 from hypothesis import HealthCheck, Phase, given, settings
@@ -272,3 +274,33 @@ sys.exit(main.main())
     command = [sys.executable, "-c", script, "identify", "scene.yaml", "bag", "--vary", "gravity.2"]
     ended = subprocess.run(command, capture_output=True, text=True, timeout=600)
     assert (ended.returncode, ended.stdout, ended.stderr) == (130, "before\n", "liegroup_sim: interrupted\n")
+
+
+def test_a_signal_ends_a_step_of_many_seconds(tmp_path):
+    """A step of sixteen stiff hulls takes 17 s of CPU time in one call of a kernel; SIGTERM comes after 3 s."""
+    points = np.random.default_rng(0).normal(size=(64, 3))
+    points *= 0.1 / np.linalg.norm(points, axis=1)[:, None]
+    hull = {"type": "contact", "shape": {"type": "hull", "points": points.tolist()}, "stiffness": 1e11, "damping": 0.1}
+    ball = {"shape": {"type": "sphere", "radius": 0.1, "mass": 1}}
+    bodies = [ball | {"name": f"b{k}", "position": [k, 0, 0.09]} for k in range(16)]
+    forces = [hull | {"name": f"c{k}", "body": f"b{k}"} for k in range(16)]
+    path, script = (
+        tmp_path / "stiff.yaml",
+        """
+import os, signal, sys, threading, time
+from liegroup_sim_ros.commands import main
+def end():
+    while time.process_time() < 3.0:
+        time.sleep(0.01)
+    os.kill(os.getpid(), signal.SIGTERM)
+threading.Thread(target=end, daemon=True).start()
+sys.exit(main.main())
+""",
+    )
+    path.write_text(yaml.safe_dump({"name": "stiff", "gravity": [0, 0, -9.81], "bodies": bodies, "forces": forces}))
+    arguments = ["--method", "rkmk54", "--step", "10", "--duration", "10", "--out", tmp_path / "run.npz"]
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    ended = subprocess.run([sys.executable, "-c", script, "run", path, *arguments], capture_output=True, text=True)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    assert ended.returncode == 130 and "interrupted at t = 0 s" in ended.stderr
+    assert after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime < 8.0
