@@ -50,6 +50,7 @@ class Warnings:
     def __init__(self, quiet):
         self._quiet, self._given = quiet, set()
         self._since = self._spent = 0.0  # s: time of the motion from which CPU time is counted, and that
+        self._was_slow = False
 
     def begin(self):
         """Begin to count the CPU time of steps; call `give` after them."""
@@ -127,20 +128,21 @@ class Warnings:
             )
 
     def _give_of_cost(self, engine):
-        """Warn of a run that is slower than real time, after PATIENCE s of CPU time."""
+        """Warn of a run that is slower than real time twice in a row, for PATIENCE s of CPU time: a start is dear."""
         now = thread_time()
         self._spent, self._began = self._spent + now - self._began, now
         if self._spent < PATIENCE:
             return
         advanced = engine.time - self._since
-        if 0.0 <= advanced < self._spent and self._is_new("cost"):
+        is_slow = 0.0 <= advanced < self._spent
+        if is_slow and self._was_slow and self._is_new("cost"):
             log.warning(
                 "A second of the motion takes %.2g s of CPU time at t = %.3g s: %s",
                 self._spent / max(advanced, engine.step),
                 engine.time,
                 cause_of_cost(engine),
             )
-        self._since, self._spent = engine.time, 0.0
+        self._was_slow, self._since, self._spent = is_slow, engine.time, 0.0
 
 
 def _reached(engine):

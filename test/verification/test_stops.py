@@ -390,7 +390,7 @@ def test_events_at_very_short_intervals_are_found_with_a_warning(caplog, monkeyp
     for _ in range(60):
         engine.advance(1)
     messages = [record.getMessage() for record in caplog.records]
-    expected = "takes 20 s of CPU time at t = 0.025 s: 499 events, most at track (499)"
+    expected = "takes 20 s of CPU time at t = 0.05 s: 999 events, most at track (999)"
     assert sum(expected in message for message in messages) == 1
     assert engine.event_count in (1199, 1200)  # the last one is at 0.06 s
     assert engine.energy() == 0.5
