@@ -131,9 +131,9 @@ class Warnings:
         """Warn of a run that is slower than real time twice in a row, for PATIENCE s of CPU time: a start is dear."""
         now = thread_time()
         self._spent, self._began = self._spent + now - self._began, now
-        if self._spent < PATIENCE:
-            return
         advanced = engine.time - self._since
+        if self._spent < PATIENCE or advanced == 0.0:
+            return
         is_slow = 0.0 <= advanced < self._spent
         if is_slow and self._was_slow and self._is_new("cost"):
             log.warning(
