@@ -169,7 +169,7 @@ STIFF_STOP = text_of("stiff_stop.yaml")
 
 def test_a_restored_run_with_both_methods_has_the_same_snapshots():
     one, other = (
-        Simulation(scene_from_text(STIFF_STOP), accuracy=1e-4, horizon=5.0, step=0.01, quiet=True) for _ in range(2)
+        Simulation(scene_from_text(STIFF_STOP), accuracy=1e-4, horizon=2.0, step=0.01, quiet=True) for _ in range(2)
     )
     methods = set()
     for _ in range(20):

@@ -78,7 +78,6 @@ def test_angles_that_pass_half_a_turn_have_no_jump():
     assert found.derivatives[0, 0, 0] == pytest.approx(1.0, rel=1e-8)
 
 
-@pytest.mark.xfail(strict=True, reason="after 8 s 2.0e-11 of a derivative of 40, where 5.3e-12 are stated")
 @pytest.mark.turn(3)
 def test_the_errors_of_long_runs_hold():
     """x = cos(w t) with w^2 = k / m, many periods: by the mass and the stiffness."""
