@@ -49,8 +49,8 @@ PART = 0.1  # of the noise: largest error of the integration
 MOST_HALVES = 8
 RANGE, LAGS = 1.0, 41  # s, delays up to this are tried first; their number
 APART = 2.0 * RANGE / (LAGS - 1)
-# s, and of a recording: delays up to these are tried at the same distance, then finer, if none before leaves noise.
-WIDEST, PART_OF_LOG, CANDIDATES, FINER = 30.0, 0.5, 10, 11
+# Delays up to Log.reach are tried at the same distance, then finer, if none before leaves noise.
+CANDIDATES, FINER = 10, 11
 NOISY = 4.0  # mean square that is nearly noise: a wrong model does not lead to a delay far away
 NEAR = 100.0  # mean square: residuals of ten deviations are no question of single clocks, and show no delay
 CLEARLY = 0.25  # of the mean square without a delay
@@ -132,17 +132,17 @@ class Comparison:
     def delays(self):
         """{topic: (s, standard deviation)} of the clocks.
 
-        The deviation is 0 where the delay was given, inf where the log does not show it: also where it is at the border
-        of those that are tried, or the model is far off.
+        The deviation is 0 where the delay was given, inf where the log does not show it: beyond `Log.reach`, where the
+        delay is at its border, or where the model is far off.
         """
         found, k = {}, 0
         variances = np.diag(covariance_of(self.fit, self.solution, self.solution.chain.columns, self.is_white))
         chi, log = max(1.0, self.reduced), self.fit.runs.log
-        border = reach(log) - 0.5 * APART
+        border = log.reach - 0.5 * APART
         for each, delay, free in zip(log.measured, self.solution.point.delays, self.fit.free):
             is_known = abs(delay) <= border and chi <= NEAR
             deviation = 0.0 if not free else np.sqrt(variances[k]) if is_known else np.inf
-            found[each.name] = float(delay - each.moved), float(deviation)
+            found[each.name] = float(delay - each.moved), float(deviation if deviation < log.reach else np.inf)
             k += bool(free)
         return found
 
@@ -594,11 +594,6 @@ def _largest(fit, errors):
     return [np.abs(np.concatenate(part)).max(axis=0, initial=0.0) / s for part, s in zip(parts, fit.deviation)]
 
 
-def reach(log):
-    """Largest delay in s of a Log that is tried."""
-    return min(WIDEST, PART_OF_LOG * min(last - first for first, last in log.spans))
-
-
 def _rough_delays(fit, bounds, delays):
     """Delays with the smallest residuals on a grid: a common one of all free clocks, then each alone.
 
@@ -636,7 +631,7 @@ def _rough_delays(fit, bounds, delays):
         return sorted(fit.tasks(lambda lag: (cost(of, lag), lag), lags))
 
     def best(of):
-        most = reach(runs.log)
+        most = runs.log.reach
         first = lowest(of, min(RANGE, most) * np.linspace(-1.0, 1.0, LAGS))
         found, lag = first[0]
         if found > max(NOISY, HIT * first[LAGS // 2][0]) and most > RANGE and (runs.log.inputs or runs.log.drives):

@@ -3,9 +3,11 @@
 
     minimise  sum over segments of | (measured - outputs) / deviation |^2  +  priors
 
-by the method of Levenberg and Marquardt. Starts of segments are free, or tied: then each segment starts where the one
-before ends, as in one run along the log (multiple shooting, Bock 1983), whatever the growth of differences in it. Ties
-are weighted rows. Starts are eliminated (chain.py), so that the rest has as many unknowns as delays and numbers.
+by the method of Levenberg and Marquardt. Delays stay within the reach of the log (Log.reach), and where they are if a
+delay as large as that changes less than noise, or what the model leaves. Starts of segments are free, or tied: then
+each segment starts where the one before ends, as in one run along the log (multiple shooting, Bock 1983), whatever the
+growth of differences in it. Ties are weighted rows. Starts are eliminated (chain.py), so that the rest has as many
+unknowns as delays and numbers.
 """
 
 import os
@@ -478,7 +480,8 @@ class Fit:
         """
         q, chain = len(self.runs.numbers), Chain(parts, damping)
         g = chain.columns.shape[1]
-        step = np.zeros(g)
+        step, count = np.zeros(g), max(sum(len(part.rest) for part in parts), 1)
+        variance = max(chain.left @ chain.left / count, LEAST**2)
         if g:
             scales = self.runs.numbers.scales
             J = np.vstack(
@@ -487,8 +490,11 @@ class Fit:
             r = np.concatenate([chain.left, self._prior(point), np.zeros(g)])
             low, high = np.full(g, -np.inf), np.full(g, np.inf)
             low[g - q :], high[g - q :] = ((limit - point.values) / scales for limit in self.limits.T)
+            reach, delays = self.runs.log.reach, point.delays[self.free]
+            low[: g - q], high[: g - q] = np.minimum(-reach - delays, 0.0), np.maximum(reach - delays, 0.0)
             sizes = np.linalg.norm(J, axis=0)
             seen = sizes > UNSEEN * sizes.max(initial=0.0)
+            seen[: g - q] &= sizes[: g - q] * reach > np.sqrt(variance)
             A = J[:, seen] / sizes[seen]
             found = np.linalg.lstsq(A, r, rcond=UNSEEN)[0]
             limits = low[seen] * sizes[seen], high[seen] * sizes[seen]
@@ -506,8 +512,6 @@ class Fit:
         share = 1.0 - (expected + float(np.sum(at_end**2))) / total if total else 0.0
         if damping:
             return changes, step, share, self._step(point, parts, 0.0)[3]
-        count = max(sum(len(part.rest) for part in parts), 1)
-        variance = max(chain.left @ chain.left / count, LEAST**2)
         return changes, step, share, bool(share * total <= len(parts) * CLOSE**2 * variance)
 
     def apart_from(self, point, other):

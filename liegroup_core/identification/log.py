@@ -17,6 +17,7 @@ MOTION = ".motion"  # end of the name of an input that is the position of a driv
 THIRD, ROBUST = np.sqrt(20.0), 1.4826
 LEAST = 1e-6  # of the spread of the values: no sensor is better
 APART = 1.0  # s between joined recordings
+WIDEST, PART_OF_LOG = 30.0, 0.5  # s, and of a recording: largest delay
 LONG = 100.0  # s, before which joints move as at the first value: delays may move starts to there
 FINER, WIDER = 1.2, 8  # numbers of knots that are compared: ratio, and how far beyond the best one
 FEWEST = 4  # values that show a noise
@@ -207,6 +208,11 @@ class Log:
         """[(first, last)] time in s of the measurements of each recording."""
         whole = min(each.times[0] for each in self.measured), max(each.times[-1] for each in self.measured)
         return self.parts or (whole,)
+
+    @cached_property
+    def reach(self):
+        """Largest delay in s: farther ones leave less than half of a recording to the inputs that acted."""
+        return min(WIDEST, PART_OF_LOG * min(last - first for first, last in self.spans))
 
 
 def _smoothed(times, values, sigma, degree):

@@ -201,6 +201,15 @@ def test_late_clocks_are_found_within_half_of_the_log(late, seconds):
         assert found.agrees and abs(delay - late) < 4.0 * deviation
 
 
+@pytest.mark.parametrize("keys", [{}, {"hinge": "friction: {viscous: 0.003}"}], ids=["right", "lacks friction"])
+def test_a_delay_that_a_log_does_not_show_stays(keys):
+    """Nothing acts on the double pendulum, so that no run depends on its time; runs of the wrong model part."""
+    found = compare(machine("double"), log_of(machine("double", **keys), "double", 3002, seconds=2.0), workers=1)
+    delay, deviation = found.delays["/joint_states"]
+    assert abs(delay) < found.fit.runs.log.reach and np.isinf(deviation)
+    assert found.agrees != bool(keys) and (not keys or found.effects[0].text == "viscous friction of hinge")
+
+
 def test_given_noise_and_gaps_and_values_that_are_missing():
     log = log_of(machine("furuta"), "furuta", 7, **SHORT)
     (measured,) = log.measured
