@@ -182,12 +182,6 @@ class Fit:
             found.append(np.where(np.isfinite(each.deviation), 0.0, least))
         return found
 
-    @property
-    def raised(self):
-        """[(p,)] whether the deviation is `least`, and more than the least one by the own spread."""
-        pairs = zip(self._log, self.deviation, self.least)
-        return [(sigma <= least) & (least > each.least) for each, sigma, least in pairs]
-
     @cached_property
     def _sizes_of_outputs(self):
         """[(p,)] as `rough` takes them, largest ones and of the first measurements."""

@@ -16,7 +16,6 @@ from .fit import range_of
 from .log import LEAST
 
 LAGS = 20
-BELOW = 0.1  # of a noise that is raised
 # Probabilities by the chi-squared distribution that are computed again, and for at most so many values.
 DOUBTFUL, MOST_VALUES = (1e-20, 0.05), 10_000
 SAMPLES, AT_ONCE = 400, 2_000_000  # of noise; numbers in memory
@@ -32,16 +31,18 @@ class Whiteness:
         """Probability of correlations as large between residuals of some columns of a Measured, if these are white.
 
         Within runs along the log. Residuals below LEAST of the noise are round-off, as of a motion in a plane across
-        it; those below the errors of the integration say nothing, nor do those of exact values below `Fit.raised`.
+        it; those below the errors of the integration, or the least noise of exact values, say nothing.
 
         errors : [(p,)] largest errors of the integration by the noise, of each Measured; None: not known
         """
         parts = [residuals[t][:, columns] for residuals in self._solution.residuals]
-        deviation, raised = self._fit.deviation[t][columns], self._fit.raised[t][columns]
-        least = np.maximum(np.where(raised, BELOW, LEAST), 0.0 if errors is None else errors[t][columns])
+        deviation = self._fit.deviation[t][columns]
+        least = deviation * np.maximum(LEAST, 0.0 if errors is None else errors[t][columns])
+        least = np.maximum(least, self._fit.least[t][columns])
         largest = np.nanmax(np.abs(np.concatenate(parts)), axis=0, initial=0.0)
-        is_seen = largest > least * deviation
-        parts, columns = [part[:, is_seen] for part in parts], np.asarray(columns)[is_seen]
+        is_seen = largest > least
+        least, columns, by = least[is_seen], np.asarray(columns)[is_seen], deviation[is_seen]
+        parts = [part[:, is_seen] / least for part in parts]
         known = [np.isfinite(part).all(axis=1) for part in parts]
         ends = [e[None] for e in self._along([part[rows] for part, rows in zip(parts, known)])]
         p = len(columns)
@@ -52,7 +53,7 @@ class Whiteness:
         chance = float(scipy.stats.chi2.sf(found, lags * p**2))
         if not DOUBTFUL[0] < chance < DOUBTFUL[1] or sum(e.shape[1] for e in ends) > MOST_VALUES:
             return chance
-        by_noise = np.log(self._of_noise(t, columns, known, lags))
+        by_noise = np.log(self._of_noise(t, columns, by / least, known, lags))
         return float(scipy.special.ndtr((by_noise.mean() - np.log(found)) / by_noise.std(ddof=1)))
 
     def _along(self, parts):
@@ -60,13 +61,16 @@ class Whiteness:
         runs = np.split(np.arange(len(parts)), self._solution.firsts[1:])
         return [np.concatenate([parts[k] for k in run]) for run in runs]
 
-    def _of_noise(self, t, columns, known, lags):
-        """(SAMPLES,) of the statistic, of what a fit leaves of white noise; known : [(r,)] masks of the rows."""
+    def _of_noise(self, t, columns, sizes, known, lags):
+        """(SAMPLES,) of the statistic, of what a fit leaves of white noise of some sizes (p,).
+
+        known : [(r,)] masks of the rows
+        """
         own = []
         for k, rows in enumerate(known):
-            sizes = np.cumsum([rest.size for rest in self._solution.residuals[k]])[:-1]
+            ends = np.cumsum([rest.size for rest in self._solution.residuals[k]])[:-1]
             rest = self._solution.residuals[k][t]
-            own.append(np.split(self._explained[k], sizes)[t].reshape(*rest.shape, -1)[rows][:, columns])
+            own.append(np.split(self._explained[k], ends)[t].reshape(*rest.shape, -1)[rows][:, columns])
         runs, rng, found = self._along(own), np.random.default_rng(0), []
         # What other outputs and priors add to the coordinates of the noise in the basis.
         size, ways = np.linalg.eigh(np.eye(runs[0].shape[2]) - sum(np.tensordot(U, U, ((0, 1), (0, 1))) for U in runs))
@@ -76,7 +80,8 @@ class Whiteness:
             noise = [rng.standard_normal((min(count, SAMPLES - first), *U.shape[:2])) for U in runs]
             x = rng.standard_normal((len(noise[0]), len(others))) @ others.T
             x += sum(np.tensordot(e, U, ((1, 2), (0, 1))) for e, U in zip(noise, runs))
-            found.append(_portmanteau([e - np.tensordot(x, U, (1, 2)) for e, U in zip(noise, runs)], lags))
+            left = [(e - np.tensordot(x, U, (1, 2))) * sizes for e, U in zip(noise, runs)]
+            found.append(_portmanteau(left, lags))
         return np.concatenate(found)
 
     @cached_property
@@ -97,10 +102,11 @@ class Whiteness:
 
 
 def _portmanteau(ends, lags):
-    """(s,) statistics of s samples of residuals [(s, n, p)] of runs along the log."""
+    """(s,) statistics of s samples of residuals [(s, n, p)] of runs along the log, whose variance is 1 at least."""
     count, total = sum(e.shape[1] for e in ends), 0.0
-    root = np.linalg.cholesky(sum(e.swapaxes(1, 2) @ e for e in ends))
-    ends = [np.linalg.solve(root, e.swapaxes(1, 2)) for e in ends]
+    size, ways = np.linalg.eigh(sum(e.swapaxes(1, 2) @ e for e in ends))
+    across = (ways / np.sqrt(np.maximum(size, count))[:, None]).swapaxes(1, 2)
+    ends = [across @ e.swapaxes(1, 2) for e in ends]
     for lag in range(1, lags + 1):
         C = sum(e[:, :, lag:] @ e[:, :, :-lag].swapaxes(1, 2) for e in ends if e.shape[2] > lag)
         total = total + np.sum(C**2, axis=(1, 2)) / (count - lag)
