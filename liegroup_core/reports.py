@@ -220,6 +220,8 @@ def explain(engine, status):
 def reason(engine, status):
     """Why an Engine stopped with a status."""
     joint = force = body = hint = ""
+    if status & 0xFF == DEPENDENT_ROWS and status >> 8 >= len(engine.layout.owners) + len(engine.scene.couplings):
+        status = NOT_FINITE  # a state of a law, whose row depends on no other
     # RATTLE reports the rotation of its step equation, which includes the effect of the torque.
     angle = math.sqrt(engine._work.report[STEP_TURN])
     if status & 0xFF == NO_RATTLE_STEP:

@@ -9,7 +9,6 @@ import numpy as np
 import scipy
 
 from liegroup_core.errors import SceneError, SimulationError
-from liegroup_core.forces.contact import stiffest
 from liegroup_core.linear.coordinates import Coordinates
 
 from .contradictions import Effect, Effects, Missing, channel_fits
@@ -17,7 +16,7 @@ from .fit import Fit, Solution, covariance
 from .horizon import Horizon, horizons
 from .machine import state_at
 from .pace import paced
-from .runs import Runs, Unknowns
+from .runs import Runs, Unknowns, longest_step
 from .scales import no_direction, scale
 from .starts import LEAST, ROUGHLY, alone, first_states, has_others, shortest, starts_of
 from .whiteness import Whiteness
@@ -42,9 +41,6 @@ BY_CHANCE = 3.0 * 2.7
 PARTED = 1e3
 LOST = 1e4  # growth in one run from which on that error is as large as what is left: such a run cannot be fitted
 FIRST_PART = 1.0 / 64.0  # of a recording: the growth of one run is measured there first
-LONGEST = 0.01  # s, first longest step; it is halved until the errors are a small part of the noise
-# Of the time T in which a contact acts: one that begins within a step h changes the speed by (h / T)^2 / 8 too much.
-OF_CONTACT = 1.0 / 16.0
 PART = 0.1  # of the noise: largest error of the integration
 MOST_HALVES = 8
 RANGE, LAGS = 1.0, 41  # s, delays up to this are tried first; their number
@@ -232,7 +228,7 @@ def fitted(scene, log, names=(), workers=None, limits=None, priors=None, held_ou
     """
     fit, point = begin(scene, log, names, workers, limits, priors, tell)
     # Events of contacts are in the way of a long run that is not near, as they are walls for the numbers.
-    whole = _whole(fit, point) if names and fit.runs.longest == LONGEST else None
+    whole = _whole(fit, point) if names and not fit.runs.has_hits else None
     if whole is not None and is_in_reach(fit, whole):
         point = whole.point
     length, few = _length(fit, point)
@@ -308,7 +304,7 @@ def _sharpened(fit, point, same):
 
 def _solved(fit, point, same):
     """Solution from Unknowns on; with contacts, whose outputs are steep functions of the starts, as of `_sharpened`."""
-    if fit.runs.longest < LONGEST and len(fit.runs.numbers):  # else starts would make up for the numbers
+    if fit.runs.has_hits and len(fit.runs.numbers):  # else starts would make up for the numbers
         return _sharpened(fit, point, same)
     return fit.solve(in_short_steps(fit, point), same)
 
@@ -490,8 +486,19 @@ def _longest(runs, log, least):
 
 def begin(scene, log, names=(), workers=None, limits=None, priors=None, tell=None):
     """(Fit, Unknowns to begin with, without segments); arguments as of `fitted`."""
-    longest = min(LONGEST, OF_CONTACT * stiffest(scene.forces)[0])
-    return _begin(Runs(scene, log.usable, names, longest, tell), workers, limits, priors)
+    return _begin(runs_of(scene, log.usable, names, tell), workers, limits, priors)
+
+
+def runs_of(scene, log, names=(), tell=None):
+    """Runs whose steps are short enough for bodies that turn fast, anywhere in the log."""
+    bounds, longest = _some(log.spans, min(shortest(log), FEW)), longest_step(scene)
+    for _ in range(MOST_HALVES):
+        runs = Runs(scene, log, names, longest, tell)
+        machine, starts = runs.machine(runs.numbers.values), zip(bounds, first_states(runs, bounds))
+        if all(state_at(machine, first, state, last) is not None for (first, last), state in starts):
+            break
+        longest *= 0.5
+    return runs
 
 
 def _begin(runs, workers=None, limits=None, priors=None, is_late=True):
@@ -561,7 +568,7 @@ def in_short_steps(fit, point, outputs=None):
 
     outputs : of the point, None: not known
     """
-    before, has_contacts = np.inf, fit.runs.has_contacts and fit.runs.longest < LONGEST
+    before, has_contacts = np.inf, fit.runs.has_contacts and fit.runs.has_hits
     is_new, is_old = has_contacts and point.calm is None, has_contacts and point.calm is not None
     outputs = fit.runs.base(point) if outputs is None else outputs
     while point.halves < MOST_HALVES:

@@ -40,6 +40,7 @@ ROUND_OFF = 1e-12
 FIXED = 1e-12  # standard deviation of what does not vary, by its scale or in s
 KINDS = ("rad", "m"), ("rad/s", "m/s")  # units of outputs whose sizes are compared
 EXACT = 100.0  # of the least noise by the own spread: values with less are exact ones of a simulation
+FINEST = 1e-9  # rad: no encoder resolves less, with 32 bits a turn
 LIGHT = 1e-6  # weight of ties of what no measurement shows: it goes on, and its gaps are no misfit
 MOVES = 2.0  # spread of an output by its noise, from which on it shows a motion
 FIRST_DAMPING, LEAST_DAMPING = 1e-3, 1e-7
@@ -109,17 +110,17 @@ class Solution:
         return [k for k, tie in enumerate(before) if tie is None or self.slack is None]
 
 
-def covariance(columns):
-    """Inverse of J^T J for columns J (N, g); inf on the diagonal for directions without influence."""
+def covariance(columns, unseen=np.inf):
+    """Inverse of J^T J for columns J (N, g), whose diagonal has `unseen` more for directions without influence."""
     sizes = np.linalg.norm(columns, axis=0)
     seen = sizes > 0.0
-    found = np.diag(np.where(seen, 0.0, np.inf))
+    found = np.diag(np.where(seen, 0.0, unseen))
     if not seen.any():
         return found
     _, singular, V = np.linalg.svd(columns[:, seen] / sizes[seen], full_matrices=False)
     good = singular > UNSEEN * singular[0]
     part = (V[good].T / singular[good] ** 2) @ V[good]
-    part[np.diag_indices_from(part)] += np.where((np.abs(V[~good]) > 1e-3).any(axis=0), np.inf, 0.0)
+    part[np.diag_indices_from(part)] += np.where((np.abs(V[~good]) > 1e-3).any(axis=0), unseen, 0.0)
     with np.errstate(invalid="ignore"):
         found[np.ix_(seen, seen)] = part / np.outer(sizes[seen], sizes[seen])
     return found
@@ -174,11 +175,15 @@ class Fit:
 
     @cached_property
     def least(self):
-        """[(p,)] least standard deviations that noise may have; of exact values by what moves most, as of `rough`."""
-        found = []
-        for each, most in zip(self._log, self._sizes_of_outputs[0]):
-            is_exact = (each.spread == 0.0) | (each.noise <= EXACT * each.least)
-            least = np.where(is_exact, np.maximum(each.least, LEAST * most), each.least)
+        """[(p,)] least standard deviations that noise may have; of exact values by what moves most, as of `rough`.
+
+        Of what hardly moves FINEST rad and of the mechanism's size, and per s.
+        """
+        found, machine = [], self.runs.machine(self.runs.numbers.values)
+        for each, most, outputs in zip(self._log, self._sizes_of_outputs[0], machine.outputs):
+            finest = FINEST * np.nan_to_num(_scales(outputs, machine.layout.size, KINDS[0] + KINDS[1]))
+            is_exact = (each.spread == 0.0) | (each.noise <= np.maximum(EXACT * each.least, finest))
+            least = np.where(is_exact, np.maximum(np.maximum(each.least, LEAST * most), finest), each.least)
             found.append(np.where(np.isfinite(each.deviation), 0.0, least))
         return found
 
@@ -187,9 +192,9 @@ class Fit:
         """[(p,)] as `rough` takes them, largest ones and of the first measurements."""
         machine, found = self.runs.machine(self.runs.numbers.values), []
         for each, outputs in zip(self._log, machine.outputs):
-            most, mean, units = each.spread.copy(), each.spread.copy(), np.array(outputs.units)
+            most, mean = each.spread.copy(), each.spread.copy()
             for angle, length in KINDS:
-                scales = np.where(units == angle, 1.0, np.where(units == length, machine.layout.size, np.nan))
+                scales = _scales(outputs, machine.layout.size, (angle, length))
                 moves = np.isfinite(scales) & (each.spread > MOVES * each.noise)
                 if moves.any():
                     relative = (each.spread / scales)[moves]
@@ -213,7 +218,7 @@ class Fit:
             self._tell(point, slack, k + 1)
             rest = [self.weighted(one) for one in self.residuals(point, outputs)]
             # Columns of an earlier point serve as long as steps with them are good; the last ones are of the end.
-            is_new = not _are_of(columns, rest)
+            is_new = not self._serve(columns, point, rest)
             if is_new:
                 columns = self._linear(point, outputs)
             parts = _at(columns, rest, outputs, slack)
@@ -222,7 +227,7 @@ class Fit:
                 other, trial, lower, share, is_small = self._tried(point, columns, parts, damping, slack)
                 if cost < lower < np.inf and slack is not None:  # ties bend: a second step closes their gaps
                     rest = [self.weighted(one) for one in self.residuals(other, trial)]
-                    if _are_of(columns, rest):
+                    if self._serve(columns, other, rest):
                         again = _at(columns, rest, trial, slack)
                         other, trial, lower, *_ = self._tried(other, columns, again, damping, slack)
                 is_better = lower <= cost * (1.0 + ROUND_OFF)
@@ -306,7 +311,7 @@ class Fit:
         outputs = self.runs.base(point) if outputs is None else outputs
         residuals = self.residuals(point, outputs)
         rest = [self.weighted(one) for one in residuals]
-        if not _are_of(columns, rest):
+        if not self._serve(columns, point, rest):
             columns = self._linear(point, outputs)
         growth = self.growth(residuals, columns)
         columns = [part._replace(rest=r) for part, r in zip(columns, rest)]
@@ -418,6 +423,17 @@ class Fit:
         if self._team is None or getattr(_thread, "works", False):  # a task that waited for others would block them
             return [function(item) for item in items]
         return list(self._team.map(function, items))
+
+    def _serve(self, columns, point, rest):
+        """Whether columns [Part], or None, are of as many measurements and start coordinates as Unknowns have.
+
+        Delays move some measurements to other segments, and starts with a taut cable have fewer coordinates.
+        rest : [(N_s,)] weighted residuals of the Unknowns
+        """
+        if columns is None:
+            return False
+        sizes = zip(columns, rest, self.runs.starts(point))
+        return all(part.own.shape == (len(r), len(scales)) for part, r, (scales, *_) in sizes)
 
     def _linear(self, point, outputs, starts_only=False):
         """[Part] of segments: columns with starts, delays and numbers; gaps of their ties are linear maps of z."""
@@ -544,9 +560,10 @@ class Change:
         return way / CHANGE, found
 
 
-def _are_of(columns, rest):
-    """Whether columns [Part], or None, have the measurements of residuals [(N_s,)]: delays move some to others."""
-    return columns is not None and [len(r) for r in rest] == [len(part.rest) for part in columns]
+def _scales(outputs, size, units):
+    """(p,) 1 rad, or the size of a mechanism, and per s, of outputs with some units; NaN of others."""
+    known = {"rad": 1.0, "m": size}
+    return np.array([known[unit.removesuffix("/s")] if unit in units else np.nan for unit in outputs.units])
 
 
 def _at(columns, rest, outputs, slack):

@@ -16,6 +16,7 @@ from liegroup_core.errors import SimulationError
 from liegroup_core.threads import one_blas_thread
 
 from .chain import SHOWN
+from .fit import covariance
 from .starts import ROUGHLY
 
 STARTS = 12  # of runs, at most, of which each recording has one
@@ -111,7 +112,7 @@ def horizons(fit, near, solution, ends=None, since=-np.inf):
             start; None: by a ratio up to the end of the longest run, and from the start
     since : s, of the first measurement that counts
     """
-    runs, shared = fit.runs, np.nan_to_num(solution.covariance, posinf=0.0)
+    runs, shared = fit.runs, covariance(solution.chain.columns, 0.0)
     try:
         near = fit.solution_at(near, solution.point, ROUGHLY)
     except SimulationError:  # the numbers are far from those of `near`
@@ -125,7 +126,7 @@ def horizons(fit, near, solution, ends=None, since=-np.inf):
         except SimulationError:
             return None
 
-    starts = _starts(fit, near, moved, known)
+    starts = _starts(fit, near, moved, given)
     found = [(k, *pair) for k, pair in zip(starts, fit.tasks(run, starts)) if pair is not None]
     if not found:
         return []
@@ -211,17 +212,28 @@ def _rounded(size):
     return float(f"{min((1.0, 2.0, 5.0, 10.0), key=lambda digit: abs(np.log(size / power / digit))) * power:.1g}")
 
 
-def _starts(fit, near, point, known):
-    """Numbers of segments from whose starts, in Unknowns, runs go on to the ends of their recordings."""
+def _starts(fit, near, point, given):
+    """Numbers of segments from whose starts, in Unknowns, runs go on to the ends of their recordings.
+
+    given : [(c + g, c + g)] covariances of the starts, with delays and numbers as they are
+    """
     bounds, found = point.bounds, []
-    shown = np.array([(np.diag(P)[: part.own.shape[1]] <= SHOWN).sum() for part, P in zip(near.linear, known)])
+    following = [*near.linear[1:], None]
+    hidden = np.array([_hidden(*each) for each in zip(near.linear, following, given)])
     for first, last in fit.runs.log.spans:
         own = np.flatnonzero((bounds[:, 0] >= first - 1e-6) & (bounds[:, 0] < last))
-        own = own[shown[own] == shown[own].max(initial=0)]  # of the others no measurement shows all
+        own = own[hidden[own] == min(hidden[own], default=0)]  # of the others no measurement shows all
         share = max(1, STARTS // len(fit.runs.log.spans))
         if len(own):
             found += own[np.unique(np.linspace(0, len(own) - 1, min(share, len(own))).astype(int))].tolist()
     return found
+
+
+def _hidden(part, following, P):
+    """Number of coordinates of a start that no measurement of a Part shows, but those of the following Part would."""
+    known = np.diag(P)[: part.own.shape[1]]
+    ahead = np.zeros((1, len(known))) if part.tie is None else following.own @ part.tie.own
+    return int(((known > SHOWN) & (known * np.mean(ahead**2, axis=0) > 1.0)).sum())
 
 
 def _long(fit, point, numbers):

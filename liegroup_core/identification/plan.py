@@ -19,11 +19,11 @@ from liegroup_core.linear.numbers import Numbers
 from liegroup_core.linear.probe import Probe
 from liegroup_core.simulation import Simulation
 
-from .comparison import LONGEST, SLACKS, in_short_steps
+from .comparison import SLACKS, in_short_steps
 from .fit import Fit
 from .log import LINEAR, Given, Log, Measured
 from .machine import PRESCRIBED, law_of_driven
-from .runs import Runs, Unknowns
+from .runs import Runs, Unknowns, longest_step
 from .starts import first_states
 
 POINTS = 8  # of a motion, after its start
@@ -215,7 +215,7 @@ class _Motions:
         given = tuple(Given(f"{move.joint}.effort", times, efforts[:, k], LINEAR) for k, move in enumerate(self._moves))
         noise = np.array(list(self._measured.values()), dtype=float)
         log = Log(given, (Measured("plan", times, tuple(self._measured), outputs, noise, 0.0),))
-        runs = Runs(self._scene, log, self._names, LONGEST)
+        runs = Runs(self._scene, log, self._names, longest_step(self._scene))
         fit = Fit(runs, [noise], [False], workers=self._workers)
         ends = np.linspace(0.0, times[-1] + 1e-6, max(1, round(times[-1] / PART)) + 1)
         bounds, delays = np.column_stack([ends[:-1], ends[1:]]), np.zeros(1)

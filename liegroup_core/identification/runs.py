@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from liegroup_core.errors import SceneError, SimulationError
+from liegroup_core.forces.contact import stiffest
 from liegroup_core.linear.numbers import Numbers
 
 from .machine import Machine, directions, moved, segments_of
@@ -17,6 +18,9 @@ CHANGE = 1e-8
 # s, change of times: whole ns, as instants are. Starts explain nearly all that a delay changes where motions part, so
 # that the curvature of that, times LAG, must be below what is left.
 LAG = 1e-8
+LONGEST = 0.01  # s, first longest step; it is halved until the errors are a small part of the noise
+# Of the time T in which a contact acts: one that begins within a step h changes the speed by (h / T)^2 / 8 too much.
+OF_CONTACT = 1.0 / 16.0
 _own = threading.local()  # machines of each thread
 
 
@@ -38,6 +42,11 @@ class Unknowns:
     states: tuple
     halves: int = 0
     calm: tuple | None = None
+
+
+def longest_step(scene):
+    """Longest step in s of runs of a Scene, to begin with."""
+    return min(LONGEST, OF_CONTACT * stiffest(scene.forces)[0])
 
 
 class Varied:
@@ -86,6 +95,7 @@ class Runs:
         self.scene, self.log, self.names, self.longest = scene, log, tuple(names), longest
         # Without numbers, starts would make up for them in long segments.
         self.has_contacts = bool(names) and any(force.type == "contact" for force in scene.forces)
+        self.has_hits = longest_step(scene) < LONGEST  # bodies are hit within one step of others
         self.numbers = Varied(scene, log, self.names)
         self._own, self._in_space, self._turns = threading.local(), False, None
         self._segments = self._starts = None, None

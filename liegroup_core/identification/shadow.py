@@ -7,10 +7,10 @@ present. Time ahead counts from the end of the segment, as measurements in it ar
 
 import numpy as np
 
-from .comparison import LONGEST, PART, continued, refined
+from .comparison import PART, continued, refined, runs_of
 from .fit import ORDER, Fit
 from .horizon import horizons
-from .runs import Runs, Unknowns
+from .runs import Unknowns
 from .starts import ROUGHLY, shortest
 
 ENDS = np.array([0.1, 0.15, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0])  # s, of the intervals of times ahead
@@ -60,7 +60,7 @@ class Shadow:
         if channels == self._channels and not log.drives:
             self._runs.use(log)
         else:
-            self._runs, self._channels, self._point = Runs(self._scene, log, (), LONGEST), channels, None
+            self._runs, self._channels, self._point = runs_of(self._scene, log), channels, None
 
     def _bounds(self, log):
         """(s, 2) s, of segments at multiples of their length; the last one goes on to the end of the log."""

@@ -12,7 +12,7 @@ from liegroup_core.linear.coordinates import Coordinates
 from liegroup_core.observables.quantities import POSITION, ROTATION, TWIST
 
 from .chain import SHOWN
-from .fit import HIDDEN, Fit
+from .fit import HIDDEN, Fit, covariance
 from .machine import Apart, floating, state_at
 from .runs import CHANGE as STEP
 from .runs import Runs, Unknowns
@@ -133,7 +133,7 @@ def starts_of(fit, solution, chi):
     machine = runs.machine(point.values)
     outputs = OutputChannels(machine.probe, _reported(machine), machine.turns)
     apart, found, free = Apart(outputs), [], int(fit.free.sum())
-    shared = np.nan_to_num(solution.covariance, posinf=0.0)
+    shared = covariance(solution.chain.columns, 0.0)
     unknown = ~np.isfinite(np.diag(solution.covariance))
     known, segments, starts = solution.chain.covariances(shared), runs.segments(point), runs.starts(point)
     for k in solution.firsts:
@@ -144,7 +144,7 @@ def starts_of(fit, solution, chi):
         D[:, c : c + free] = (_rates(machine, outputs, apart, segment, state) / len(fit.free))[:, None]
         off = (np.abs(D[:, :c]) > HIDDEN) @ (np.diag(P)[:c] > SHOWN)
         off |= (np.abs(D[:, :c] @ P[:c, c:] + D[:, c:] @ shared)[:, unknown] > HIDDEN).any(axis=1)
-        deviations = np.where(off, np.inf, np.sqrt(chi * np.einsum("ki,ij,kj->k", D, P, D)))
+        deviations = np.where(off, np.inf, np.sqrt(chi * np.maximum(np.einsum("ki,ij,kj->k", D, P, D), 0.0)))
         found.append(SegmentStart(segment.start, tuple(outputs.names), values, deviations))
     return found
 

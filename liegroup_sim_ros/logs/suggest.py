@@ -11,6 +11,8 @@ from .load import fields_of
 
 STAMPED = {"geometry_msgs/msg/PoseStamped": "pose", "geometry_msgs/msg/TwistStamped": "twist"}
 PARTS = ("position", "velocity", "effort")
+TARGETS = {"position": "target", "velocity": "target_velocity"}
+COMMANDS = "command", "target"  # parts of the names of topics with values that act
 
 
 def suggest(bag, scene, layout):
@@ -18,8 +20,11 @@ def suggest(bag, scene, layout):
     inputs, measurements, notes = [], [], []
     joints = [name for name in layout.coordinates.names]
     efforts = [name for name in layout.unit_efforts if name not in layout.motions]
+    moved = {*layout.servos, *(joint for joint, _ in layout.law_efforts)}
     commanded = [
-        topic for topic, kind in bag.topics.items() if kind == "std_msgs/msg/Float64MultiArray" and "command" in topic
+        topic
+        for topic, kind in bag.topics.items()
+        if kind == "std_msgs/msg/Float64MultiArray" and any(part in topic for part in COMMANDS)
     ]
     for topic, kind in bag.topics.items():
         try:
@@ -32,7 +37,12 @@ def suggest(bag, scene, layout):
         if first is None:
             continue
         before = len(inputs) + len(measurements)
-        if kind == "sensor_msgs/msg/JointState":
+        if kind == "sensor_msgs/msg/JointState" and any(part in topic for part in COMMANDS):
+            for joint, name in _matched(list(layout.servos), list(parts)).items():
+                for part, what in TARGETS.items():
+                    if part in parts[name]:
+                        inputs.append((f"{joint}.{what}", topic, f"{part}[{name}]"))
+        elif kind == "sensor_msgs/msg/JointState":
             named = _matched(joints, list(parts))
             for joint, name in named.items():
                 own, given = parts[name], [each for each, *_ in inputs]
@@ -45,7 +55,9 @@ def suggest(bag, scene, layout):
                 for part in ("position", "velocity"):
                     if part in own:
                         measurements.append((f"{joint}.{part}", topic, f"{part}[{name}]"))
-                if "effort" in own and joint in efforts and not commanded and f"{joint}.effort" not in given:
+                if "effort" in own and joint in moved:
+                    notes.append(f"{topic}: effort of {name}: a servo or law of the scene makes it: left out")
+                elif "effort" in own and joint in efforts and not commanded and f"{joint}.effort" not in given:
                     inputs.append((f"{joint}.effort", topic, f"effort[{name}]"))
             if others := [name for name in parts if name not in named.values()]:
                 missing = listed(each for each in joints if each not in named)
