@@ -217,23 +217,29 @@ def _starts(fit, near, point, given):
 
     given : [(c + g, c + g)] covariances of the starts, with delays and numbers as they are
     """
-    bounds, found = point.bounds, []
-    following = [*near.linear[1:], None]
-    hidden = np.array([_hidden(*each) for each in zip(near.linear, following, given)])
+    bounds, found, following = point.bounds, [], [*near.linear[1:], None]
+    hidden = [
+        np.flatnonzero(shown & (np.diag(P)[: len(shown)] > SHOWN))
+        for (*_, shown), P in zip(fit.runs.starts(near.point), given)
+    ]
+    counts = np.array([len(each) for each in hidden])
     for first, last in fit.runs.log.spans:
         own = np.flatnonzero((bounds[:, 0] >= first - 1e-6) & (bounds[:, 0] < last))
-        own = own[hidden[own] == min(hidden[own], default=0)]  # of the others no measurement shows all
-        share = max(1, STARTS // len(fit.runs.log.spans))
-        if len(own):
-            found += own[np.unique(np.linspace(0, len(own) - 1, min(share, len(own))).astype(int))].tolist()
+        if not len(own):
+            continue
+        is_usable = counts[own] == counts[own].min()  # of the others no measurement shows all
+        k = own[0]
+        is_usable[0] |= _is_forgotten(near.linear[k], following[k], hidden[k])
+        own, share = own[is_usable], max(1, STARTS // len(fit.runs.log.spans))
+        found += own[np.unique(np.linspace(0, len(own) - 1, min(share, len(own))).astype(int))].tolist()
     return found
 
 
-def _hidden(part, following, P):
-    """Number of coordinates of a start that no measurement of a Part shows, but those of the following Part would."""
-    known = np.diag(P)[: part.own.shape[1]]
-    ahead = np.zeros((1, len(known))) if part.tie is None else following.own @ part.tie.own
-    return int(((known > SHOWN) & (known * np.mean(ahead**2, axis=0) > 1.0)).sum())
+def _is_forgotten(part, following, numbers):
+    """Whether changes of some coordinates of a start by their scales change what follows its Part by less than noise."""
+    if part.tie is None:
+        return True
+    return bool((np.mean((following.own @ part.tie.own[:, numbers]) ** 2, axis=0) < 1.0).all())
 
 
 def _long(fit, point, numbers):
