@@ -12,7 +12,7 @@ from liegroup_core.errors import SceneError, SimulationError
 from liegroup_core.linear.coordinates import Coordinates
 
 from .contradictions import Effect, Effects, Missing, channel_fits
-from .fit import Fit, Solution, covariance
+from .fit import ORDER, Fit, Solution, covariance
 from .horizon import Horizon, horizons
 from .machine import state_at
 from .pace import paced
@@ -43,6 +43,7 @@ LOST = 1e4  # growth in one run from which on that error is as large as what is 
 FIRST_PART = 1.0 / 64.0  # of a recording: the growth of one run is measured there first
 PART = 0.1  # of the noise: largest error of the integration
 MOST_HALVES = 8
+ORDER_ONE = 2.0 * (1.0 - 2.0**-ORDER)  # factor of an error that steps of half the size only halve
 RANGE, LAGS = 1.0, 41  # s, delays up to this are tried first; their number
 APART = 2.0 * RANGE / (LAGS - 1)
 # Delays up to Log.reach are tried at the same distance, then finer, if none before leaves noise.
@@ -454,10 +455,24 @@ def excess(fit, solution):
 def judged(fit, near, solution):
     """Comparison of a tied Solution; near: one whose segments are free, and near to the measurements."""
     fit.runs.tell("effects that the model may lack")
-    tied_near = fit.solution(near.point, near.outputs, near.linear, SLACKS[-1])
-    judge = Effects(fit, solution if is_in_reach(fit, solution) else tied_near)
+    finer = fit.runs.base(replace(solution.point, halves=solution.point.halves + 1))
+    errors = _largest(fit, fit.errors(solution.outputs, finer))
+    # Noise that is not larger than errors is no noise to find. Errors that remain are of order one, as at kinks.
+    errors = [np.where(each > PART, ORDER_ONE * each, each) for each in errors]
+    if any((each > PART).any() for each in errors):
+        sizes = [np.hypot(1.0, each) for each in errors]
+        fit.deviation = [sigma * size for sigma, size in zip(fit.deviation, sizes)]
+        errors = [error / size for error, size in zip(errors, sizes)]
+        near, solution = (
+            fit.solution(each.point, each.outputs, fit.linear_of(each), each.slack, each.converged)
+            for each in (near, solution)
+        )
+    if is_in_reach(fit, solution):
+        judge = Effects(fit, solution, finer)
+    else:
+        judge = Effects(fit, fit.solution(near.point, near.outputs, near.linear, SLACKS[-1]))
     columns = [np.flatnonzero(np.isfinite(each.values).any(axis=0)) for each in fit.runs.log.measured]
-    errors, white = numerics(fit, solution), Whiteness(fit, solution)
+    white = Whiteness(fit, solution)
     channels, p_white = channel_fits(fit, solution, white, errors), []
     plain = [white(t, [p]) for t, own in enumerate(columns) for p in own]
     for least, each in ((None, plain), (errors, [channel.p_white for channel in channels])):
@@ -524,15 +539,17 @@ def _begin(runs, workers=None, limits=None, priors=None, is_late=True):
 def covariance_of(fit, solution, columns, is_white):
     """(g, g) covariance of free delays and numbers, of columns (m, g) of a Solution and of what is known before.
 
-    Without white residuals it is robust: that of correlated ones (Newey and West 1987). Numbers make up for errors of
-    the integration, so that residuals may be smaller than these: then they count as if they were as large.
+    Without white residuals it is robust: that of correlated ones (Newey and West 1987). Residuals of exact values may
+    be smaller than the least noise. But numbers make up for errors of the integration: residuals that are smaller than
+    these count as if they were as large.
     """
-    plain = covariance(columns)
+    plain, by_errors = covariance(columns), PART**2
     if is_white:
-        return plain * max(1.0, solution.reduced)
+        are_exact = all((sigma <= least).all() for sigma, least in zip(fit.deviation, fit.least))
+        return plain * max(by_errors if are_exact and not fit.known.any() else 1.0, solution.reduced)
     finite = np.where(np.isfinite(plain), plain, 0.0)
-    least = max(1.0, PART**2 / max(solution.reduced, np.finfo(float).tiny))
-    return np.where(np.isfinite(plain), least * finite @ _spread(fit, solution) @ finite, plain)
+    size = max(1.0, by_errors / max(solution.reduced, np.finfo(float).tiny))
+    return np.where(np.isfinite(plain), size * finite @ _spread(fit, solution) @ finite, plain)
 
 
 def _spread(fit, solution):
@@ -589,14 +606,8 @@ def in_short_steps(fit, point, outputs=None):
     return point
 
 
-def numerics(fit, solution):
-    """[(p,)] largest estimated error of the integration by the noise, of each Measured, from steps of half the size."""
-    point = solution.point
-    return _largest(fit, fit.errors(solution.outputs, fit.runs.base(replace(point, halves=point.halves + 1))))
-
-
 def _largest(fit, errors):
-    """[(p,)] largest of [[(r, p)]] by the noise."""
+    """[(p,)] largest errors [[(r, p)]] of outputs by the noise, of each Measured."""
     parts = ([each[t] for each in errors] for t in range(len(fit.deviation)))
     return [np.abs(np.concatenate(part)).max(axis=0, initial=0.0) / s for part, s in zip(parts, fit.deviation)]
 

@@ -153,12 +153,15 @@ class Effects:
     """Effects that a fitted run may lack.
 
     fit, solution : Fit, Solution
+    finer : outputs with steps of half the size, whose difference no effect may explain; None: not known
     """
 
-    def __init__(self, fit, solution):
+    def __init__(self, fit, solution, finer=None):
         self._fit, self._solution = fit, solution
         self._machine, self._freedom = fit.runs.machine(solution.point.values), solution.freedom
         self._forced = Forced(fit.runs, solution.point)
+        other = solution.outputs if finer is None else finer
+        self._errors = fit.beside(solution.outputs, other, solution.residuals)
 
     @one_blas_thread()
     def find(self, is_noise):
@@ -193,11 +196,12 @@ class Effects:
         """([Effect] one after the other; [Effect] each alone, by share; whether they explain what is not noise)."""
         if not candidates:
             return [], [], False
-        left, columns, sizes = self._reduced([column for each in candidates for column in each.columns])
+        tried = [column for each in candidates for column in each.columns]
+        left, columns, sizes = self._reduced([*tried, self._errors])
         ends = np.cumsum([len(each.columns) for each in candidates])
-        columns = [each for each in np.split(columns, ends[:-1], axis=1)]
+        *columns, errors = np.split(columns, ends, axis=1)
         usable = [
-            k for k, (J, of) in enumerate(zip(columns, np.split(sizes, ends[:-1]))) if _least(J) > UNTOLD * of.min()
+            k for k, (J, of) in enumerate(zip(columns, np.split(sizes[:-1], ends[:-1]))) if _least(J) > UNTOLD * of.min()
         ]
         total, basis, rest, chosen = float(left @ left), np.zeros((len(left), 0)), left, []
         alone = [self._effect(candidates[k], columns[k], left, total) for k in usable]
@@ -212,7 +216,8 @@ class Effects:
                 white = max((float(rest @ rest) - taken) / self._freedom, 1.0)
                 # One deviation from the mean is the least of a number that is not there.
                 score = taken - CLEAR * white * (len(J.T) - 1)
-                if (best is None or score > best[0]) and score > CLEAR * white and taken > WORTH * total:
+                clear = (np.sqrt(CLEAR * white) + np.linalg.norm(Q.T @ errors)) ** 2
+                if (best is None or score > best[0]) and score > clear and taken > WORTH * total:
                     best = score, k, J, Q
             if best is None:
                 break

@@ -177,14 +177,14 @@ class Fit:
     def least(self):
         """[(p,)] least standard deviations that noise may have; of exact values by what moves most, as of `rough`.
 
-        Of what hardly moves FINEST rad and of the mechanism's size, and per s.
+        Of what hardly moves FINEST rad and of the mechanism's size, and per s; those of a simulation are its errors.
         """
         found, machine = [], self.runs.machine(self.runs.numbers.values)
         for each, most, outputs in zip(self._log, self._sizes_of_outputs[0], machine.outputs):
             finest = FINEST * np.nan_to_num(_scales(outputs, machine.layout.size, KINDS[0] + KINDS[1]))
             is_exact = (each.spread == 0.0) | (each.noise <= np.maximum(EXACT * each.least, finest))
             least = np.where(is_exact, np.maximum(np.maximum(each.least, LEAST * most), finest), each.least)
-            found.append(np.where(np.isfinite(each.deviation), 0.0, least))
+            found.append(np.where(np.isfinite(each.deviation), 0.0, np.maximum(least, each.error)))
         return found
 
     @cached_property

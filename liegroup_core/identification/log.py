@@ -119,6 +119,7 @@ class Measured:
     deviation : (p,) standard deviations of the noise, NaN: estimated from third differences of the values
     delay     : s by which the times are late; None: to be estimated
     moved     : s by which the times are later than the stamps, as clocks differ by about that
+    error     : (p,) errors of values of a simulation, as it estimates them
     """
 
     name: str
@@ -128,6 +129,7 @@ class Measured:
     deviation: np.ndarray
     delay: float | None = None
     moved: float = 0.0
+    error: np.ndarray | float = 0.0
 
     @cached_property
     def noise(self):
@@ -263,6 +265,7 @@ def joined(logs):
             parts[0],
             times=np.concatenate([each.times + shift for each, shift in zip(parts, shifts)]),
             values=np.vstack([each.values for each in parts]),
+            error=np.max([each.error + np.zeros(len(each.channels)) for each in parts], axis=0),
         )
         for parts in zip(*(log.measured for log in logs))
     ]

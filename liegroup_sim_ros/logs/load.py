@@ -2,6 +2,7 @@
 """Log of a bag and a map: values in SI units, times that increase, and notes on what was lost."""
 
 from dataclasses import replace
+from urllib.parse import unquote
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -10,6 +11,7 @@ from liegroup_core.errors import SceneError
 from liegroup_core.identification.log import MOTION, SPLINE, Given, Log, Measured
 from liegroup_core.linear.channels import WRENCH
 from liegroup_core.observables.quantities import ACCELERATION, POSITION, ROTATION, TWIST, present_name
+from liegroup_sim_ros.messages import estimates
 from liegroup_sim_ros.numbers import counted
 
 from .bag import BagError, Field
@@ -79,7 +81,7 @@ def load_log(bag, given, scene, turns, origin=None):
     origin : ns, stamp at the start of the log; None: the first stamp
     Raises BagError, SceneError.
     """
-    wanted, of = {}, {}
+    wanted, of, errors = {}, {}, _errors(bag, scene)
     for entry in (*given.inputs, *given.measurements):
         if entry.topic not in bag.topics:
             bag.read({entry.topic: []})  # raises BagError
@@ -140,11 +142,36 @@ def load_log(bag, given, scene, turns, origin=None):
         if not len(at):
             raise SceneError(f"{topic}: all its messages are outside of those of {drive.name}")
         clock = delays.get(topic), moved[topic] * 1e-9
-        measured.append(Measured(topic, at, tuple(names), values, np.array(noise), *clock))
+        error = np.array([errors.get(name, 0.0) for name in names])
+        measured.append(Measured(topic, at, tuple(names), values, np.array(noise), *clock, error))
     if not inputs and all(each.delay is None for each in measured):
         # Without inputs only differences of clocks show.
         measured[0] = replace(measured[0], delay=0.0)
     return Log(tuple(acting), tuple(measured), tuple(notes), drives=tuple(drives))
+
+
+def _errors(bag, scene):
+    """{output: largest error, SI units} of a simulation that has published estimates of them (messages/estimates.py).
+
+    Errors of joints are the sums of those of their bodies.
+    """
+    of_bodies = {}
+    for topic in (topic for topic, kind in bag.topics.items() if kind == estimates.TYPE):
+        for message in bag.messages(topic):
+            labels = [each["label"].split(" ") for each in message["layout"]["dim"]]
+            if labels[1:] != [list(estimates.UNITS)] or len(message["data"]) != 4 * len(labels[0]):
+                break
+            rows = np.nan_to_num(np.reshape(message["data"], (-1, 4)), posinf=0.0)
+            for body, row in zip(map(unquote, labels[0]), rows):
+                of_bodies[body] = np.maximum(row, of_bodies.get(body, 0.0))
+    found = {}
+    for body, (m, rad, speed, rate) in of_bodies.items():
+        for names, errors in ((POSITION, [m] * 3), (ROTATION, [rad] * 3), (TWIST, [rate] * 3 + [speed] * 3)):
+            found |= {f"{body}.{name}": error for name, error in zip(names, errors)}
+    for joint in scene.joints:
+        own = sum(of_bodies.get(body, np.zeros(4)) for body in (joint.parent, joint.child))
+        found[f"{joint.name}.position"], found[f"{joint.name}.velocity"] = own[[0, 2]] + own[[1, 3]]
+    return found
 
 
 def _parts(times, hold):

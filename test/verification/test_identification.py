@@ -739,7 +739,7 @@ def test_friction_of_a_contact_that_is_too_low_is_named():
     """A box slides all the time, so that its motion is linear in friction: as of a force along its way."""
     scene = scene_from_text(SLED.replace("RUBS", "0.1"))
     found = compare(scene, pose_log({"RUBS": 0.3}, 0.2, SLED), workers=1)
-    equal = [each for each in found.alone if each.share > 0.98 * found.effects[0].share]
+    equal = [each for each in found.alone if each.share > 0.9 * found.effects[0].share]  # the verdict names these
     (own,) = [each for each in equal if each.text == "friction of floor"]
     assert abs(own.value - 0.2) < 4.0 * own.deviation < 0.1
     assert "friction of floor" in found.verdict.lower() and not found.agrees
@@ -803,7 +803,7 @@ def test_white_noise_is_white_as_often_as_is_said():
     """
     rng, x = np.random.default_rng(3), np.vander(np.linspace(-1.0, 1.0, 51), 6)
     part = Part(np.zeros(51), x, np.zeros((51, 0)))
-    fit = SimpleNamespace(deviation=[np.ones(1)], raised=[np.zeros(1, dtype=bool)], known=np.eye(0))
+    fit = SimpleNamespace(deviation=[np.ones(1)], least=[np.zeros(1)], known=np.eye(0))
 
     def chance(noise):
         rest = noise - x @ np.linalg.lstsq(x, noise, rcond=None)[0]
