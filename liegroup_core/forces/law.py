@@ -930,7 +930,11 @@ def may_be_beyond(laws, branch, k):
 @kernel
 def _read(laws, angle, pose, twist, registers):
     """Write the time, the values of all inputs and the numbers that are held to their registers."""
-    registers[LAW_TIME, 0] = registers[0, 0] - laws.late[0]
+    time, late = registers[0, 0] - laws.late[0], laws.late[0]
+    if late != 0.0:  # comparisons of formulas see whole ns, not the round-off of the difference
+        whole = np.round(time * 1e9) / 1e9
+        time = whole if abs(time - whole) <= 2.3e-16 * late else time
+    registers[LAW_TIME, 0] = time
     for j in range(len(laws.held)):
         if laws.held[j] >= 0:
             registers[laws.held[j], 0] = angle[laws.first + j]

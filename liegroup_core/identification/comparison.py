@@ -543,10 +543,9 @@ def covariance_of(fit, solution, columns, is_white):
     be smaller than the least noise. But numbers make up for errors of the integration: residuals that are smaller than
     these count as if they were as large.
     """
-    plain, by_errors = covariance(columns), PART**2
+    plain, by_errors = covariance(columns), most_error(fit) ** 2
     if is_white:
-        are_exact = all((sigma <= least).all() for sigma, least in zip(fit.deviation, fit.least))
-        return plain * max(by_errors if are_exact and not fit.known.any() else 1.0, solution.reduced)
+        return plain * max(by_errors if fit.is_exact and not fit.known.any() else 1.0, solution.reduced)
     finite = np.where(np.isfinite(plain), plain, 0.0)
     size = max(1.0, by_errors / max(solution.reduced, np.finfo(float).tiny))
     return np.where(np.isfinite(plain), size * finite @ _spread(fit, solution) @ finite, plain)
@@ -578,6 +577,11 @@ def _spread(fit, solution):
     return total
 
 
+def most_error(fit):
+    """Largest error of the integration by the noise; of contacts it falls slowly, and least noise is not all noise."""
+    return 1.0 if fit.runs.has_hits and fit.is_exact else PART
+
+
 def in_short_steps(fit, point, outputs=None):
     """Unknowns with steps whose errors are a small part of the noise, or of residuals of a model that is not near.
 
@@ -590,7 +594,7 @@ def in_short_steps(fit, point, outputs=None):
     outputs = fit.runs.base(point) if outputs is None else outputs
     while point.halves < MOST_HALVES:
         rest = np.concatenate([fit.weighted(one) for one in fit.residuals(point, outputs)])
-        most = PART * max(1.0, float(np.sqrt(rest @ rest / max(len(rest), 1))))
+        most = most_error(fit) * max(1.0, float(np.sqrt(rest @ rest / max(len(rest), 1))))
         if is_new:
             point, is_new = paced(fit, point, most, MOST_HALVES), False
             outputs = fit.runs.base(point)

@@ -201,7 +201,9 @@ class Effects:
         ends = np.cumsum([len(each.columns) for each in candidates])
         *columns, errors = np.split(columns, ends, axis=1)
         usable = [
-            k for k, (J, of) in enumerate(zip(columns, np.split(sizes[:-1], ends[:-1]))) if _least(J) > UNTOLD * of.min()
+            k
+            for k, (J, of) in enumerate(zip(columns, np.split(sizes[:-1], ends[:-1])))
+            if _least(J) > UNTOLD * of.min()
         ]
         total, basis, rest, chosen = float(left @ left), np.zeros((len(left), 0)), left, []
         alone = [self._effect(candidates[k], columns[k], left, total) for k in usable]

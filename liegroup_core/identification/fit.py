@@ -187,6 +187,11 @@ class Fit:
             found.append(np.where(np.isfinite(each.deviation), 0.0, np.maximum(least, each.error)))
         return found
 
+    @property
+    def is_exact(self):
+        """Whether all noise is the least one: values of a simulation."""
+        return all((sigma <= least).all() for sigma, least in zip(self.deviation, self.least))
+
     @cached_property
     def _sizes_of_outputs(self):
         """[(p,)] as `rough` takes them, largest ones and of the first measurements."""

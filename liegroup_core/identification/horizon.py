@@ -236,7 +236,7 @@ def _starts(fit, near, point, given):
 
 
 def _is_forgotten(part, following, numbers):
-    """Whether changes of some coordinates of a start by their scales change what follows its Part by less than noise."""
+    """Whether some coordinates of a start, changed by their scales, change what follows its Part by less than noise."""
     if part.tie is None:
         return True
     return bool((np.mean((following.own @ part.tie.own[:, numbers]) ** 2, axis=0) < 1.0).all())

@@ -4,6 +4,7 @@
 import json
 import shutil
 import sys
+import zlib
 
 import numpy as np
 import pytest
@@ -11,9 +12,11 @@ from bags import START_NS, TYPES, header, topics_of, write_bag
 from machine_logs import DELAY, log_of, machine
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
+from random_scenes import scene_of
 from rosbags.rosbag2 import StoragePlugin
 from scene_files import text_of
 from scipy.spatial.transform import Rotation
+from volume import revision, some
 
 from liegroup_core import Simulation, load_scene
 from liegroup_core.identification import compare
@@ -78,6 +81,57 @@ def test_compare_names_the_rod_and_identify_finds_it(folder, capsys):
     assert found.bodies[1].mass == pytest.approx(number["value"], rel=1e-9)
     assert out.read_text().startswith("# bodies.rod.shape.mass: ") and str(folder / "bag") in out.read_text()
     assert "already exists" in refused(arguments, capsys)
+
+
+# A cart that moves along, whose effort jumps with that of a law at an instant that is no binary fraction.
+JUMP = """
+name: jump
+bodies: [{name: cart, mass: 2, inertia: [1, 1, 1]}, {name: rod, mass: 1, inertia: [0.1, 0.1, 0.1], com: [0, 0, -0.4]}]
+gravity: [0, 0, -9.81]
+joints:
+  - {name: rail, type: prismatic, parent: world, child: cart, child_frame: {axis: [1, 0, 0]}, driven: true}
+  - {name: pin, type: revolute, parent: cart, child: rod, child_frame: {axis: [0, 1, 0]}}
+forces: [{name: late, type: law, outputs: [{joint: pin, effort: 1 if t > 0.05 else 0}]}]
+"""
+SKID = """
+name: skid
+gravity: [0, 0, -9.81]
+bodies: [{name: ball, shape: {type: sphere, radius: 0.1, mass: 2}, position: [0, 0, 0.12], linear_velocity: [1, 0, 0]}]
+forces: [{name: floor, type: contact, body: ball, sinks: 1.0e-3, restitution: 0.5, friction: 0.3}]
+"""
+RECORDED = {"skid": SKID, "jump": JUMP, "random": None} | dict.fromkeys(
+    "bicycle bricard cable diff_drive double_pendulum flyball_governor four_bar free_body heavy_top "
+    "lagrangian_top n_four_bar slider_crank stick_slip".split()
+)
+
+
+@pytest.mark.parametrize("name", some(RECORDED, 2))
+def test_a_recording_agrees_with_its_scene(name, tmp_path, capsys):
+    """It has no noise; efforts of servos and laws act once; some starts hide coordinates, or have a taut cable."""
+    scene, record, seconds, text = name, str(tmp_path / "run.mcap"), 1.0, RECORDED[name]
+    if name == "random":
+        rng, seconds = np.random.default_rng([zlib.crc32(revision().encode()), 3]), 0.5
+        while "period" in (text := scene_of(rng)) or "contact" in text:
+            pass
+    if text is not None:
+        scene = str(tmp_path / "scene.yaml")
+        (tmp_path / "scene.yaml").write_text(text)
+    assert main(["run", scene, "--duration", str(seconds), "--rate", "200", "--out", record]) == 0
+    assert main(["compare", scene, record, "--workers", "1", "--json", str(tmp_path / "found.json")]) == 0
+    told, found = capsys.readouterr().out, json.loads((tmp_path / "found.json").read_text())
+    assert found["agrees"], told
+    ahead = min(each["ahead"][-1] for each in found["horizons"] if each["ahead"])
+    assert ahead > seconds - 0.011, told  # a late clock takes away its first or last message
+
+
+def test_targets_of_servos_act_and_their_efforts_do_not_act_twice(tmp_path, capsys):
+    record = str(tmp_path / "run.mcap")
+    assert main(["run", "gripper", "--duration", "0.02", "--out", record]) == 0
+    capsys.readouterr()
+    assert main(["compare", "gripper", record, "--suggest"]) == 0
+    text = capsys.readouterr().out
+    assert 'input: "left_slide.target", topic: "/sim_node/servo_targets", field: "position[left_slide]"' in text
+    assert "left_slide.effort" not in text and "effort of left_slide: a servo or law of the scene makes it" in text
 
 
 def test_suggested_maps_and_formats_give_equal_logs(folder, capsys):

@@ -812,6 +812,13 @@ def test_white_noise_is_white_as_often_as_is_said():
     assert 0 < sum(chance(rng.standard_normal(51)) < 0.01 for _ in range(1000)) <= 35
     walk = np.convolve(rng.standard_normal(51), 0.8 ** np.arange(20))[:51]
     assert chance(walk) < 1e-3
+    rest = np.repeat((walk - x @ np.linalg.lstsq(x, walk, rcond=None)[0])[:, None], 2, axis=1)
+    fit = SimpleNamespace(deviation=[np.ones(2)], least=[np.zeros(2)], known=np.eye(0))
+    part = Part(np.zeros(102), np.repeat(x, 2, axis=0), np.zeros((102, 0)))
+    same = Whiteness(fit, SimpleNamespace(residuals=[[rest]], linear=[part], firsts=[0]))
+    assert same(0, [0, 1]) < 1e-3  # as of a joint and the body that it moves
+    fit.least = [10.0 * np.abs(rest).max(axis=0)]
+    assert same(0, [0, 1]) == 1.0
 
 
 ROD = """
