@@ -3,6 +3,7 @@
 
 import contextlib
 import copy
+import threading
 import time
 import weakref
 from collections.abc import Callable, Iterator
@@ -44,6 +45,7 @@ BAUMGARTE_STEPS = 10
 NO_ROTATION = 1e-6
 METHOD = "rkmk4"  # default
 ENGINES: weakref.WeakSet["Engine"] = weakref.WeakSet()  # of this process, for `halt_all`
+ENDING = threading.Event()  # the process ends: a halt stays, also one that came before an `advance` began
 # Number of steps per call of a kernel at first, and range of the wall time in s of later calls.
 FIRST_BLOCK, QUICK, SLOW = 16, 0.01, 0.03
 
@@ -57,6 +59,7 @@ def _next_block(steps, seconds):
 
 def halt_all():
     """Halt the engines of all threads: a signal has come, which Python handles only between two calls of kernels."""
+    ENDING.set()
     for engine in tuple(ENGINES):
         engine.halt()
 
@@ -486,7 +489,9 @@ class Engine:
 
     def reach(self, instant, enough=None):
         """As `advance_to`, of an Instant; enough : as in `advance`."""
-        if self._halted:
+        if ENDING.is_set():
+            self.halt()
+        elif self._halted:
             self.end_halt()
         if instant.step >= NEVER:
             raise ValueError(f"a run has {NEVER - 1} steps at most: take a larger step than {self.step:g} s")
