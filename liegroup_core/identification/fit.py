@@ -218,7 +218,7 @@ class Fit:
         slack : of ties, by what one segment for itself shows of its start; None: starts are free
         enough : cost at which the search ends
         """
-        damping, columns, outputs = 0.0, self.linear_of(known), self.runs.base(point)
+        damping, columns, outputs, failed = 0.0, self.linear_of(known), self.runs.base(point), None
         for k in range(MOST_STEPS):
             self._tell(point, slack, k + 1)
             rest = [self.weighted(one) for one in self.residuals(point, outputs)]
@@ -229,7 +229,7 @@ class Fit:
             parts = _at(columns, rest, outputs, slack)
             cost = self.cost(point, parts)
             for _ in range(MOST_TRIES if is_new else 1):
-                other, trial, lower, share, is_small = self._tried(point, columns, parts, damping, slack)
+                other, trial, lower, share, whole, is_small = self._tried(point, columns, parts, damping, slack)
                 if cost < lower < np.inf and slack is not None:  # ties bend: a second step closes their gaps
                     rest = [self.weighted(one) for one in self.residuals(other, trial)]
                     if self._serve(columns, other, rest):
@@ -238,10 +238,15 @@ class Fit:
                 is_better = lower <= cost * (1.0 + ROUND_OFF)
                 if is_better or is_small:
                     break
-                damping = max(10.0 * damping, FIRST_DAMPING)
-            ends = not is_better or is_small or cost - lower <= same * cost or lower <= enough
+                failed, damping = damping, max(10.0 * damping, FIRST_DAMPING)
+            less, is_last = 0.0 if damping < LEAST_DAMPING else 0.1 * damping, cost - lower <= same * cost
+            if is_better and is_last and damping > 0.0 and whole > same and (failed is None or less > failed):
+                is_last = False  # the damping makes the step small: with less it goes on
+            elif not is_last:
+                failed = None
+            ends = not is_better or is_small or is_last or lower <= enough
             if is_better:
-                point, outputs, damping = other, trial, 0.0 if damping < LEAST_DAMPING else 0.1 * damping
+                point, outputs, damping = other, trial, less
             is_as_told = abs(cost - lower - share * cost) <= AS_TOLD * share * cost
             if ends and (is_new or is_small or is_as_told or lower <= enough):
                 return self.solution(point, outputs, columns, slack, bool(np.isfinite(lower)))
@@ -282,15 +287,15 @@ class Fit:
         return found
 
     def _tried(self, point, columns, parts, damping, slack):
-        """(Unknowns, outputs, cost, inf: none, expected share of its decrease, whether it is small) after a step."""
-        changes, step, share, is_small = self._step(point, parts, damping)
+        """(Unknowns, outputs, cost, inf: none) after a step, and its shares as of `_step`."""
+        changes, step, *shares = self._step(point, parts, damping)
         try:
             other = self.moved(point, changes, step)
             outputs = self.runs.base(other)
             rest = [self.weighted(one) for one in self.residuals(other, outputs)]
-            return other, outputs, self.cost(other, _at(columns, rest, outputs, slack)), share, is_small
+            return other, outputs, self.cost(other, _at(columns, rest, outputs, slack)), *shares
         except (SimulationError, SceneError):
-            return point, None, np.inf, share, is_small
+            return point, None, np.inf, *shares
 
     def refine(self, solution):
         """Estimate the noise again, from the residuals of a Solution, in which there is less motion.
@@ -491,7 +496,7 @@ class Fit:
         """Step from Unknowns.
 
         Changes [(c,)] of the starts by their scales, (g,) of delays and numbers, by which share the sum of squares
-        would decrease if outputs were linear, and whether that of a step without damping is small, see CLOSE.
+        would decrease if outputs were linear, that of a step without damping, and whether this is small, see CLOSE.
         """
         q, chain = len(self.runs.numbers), Chain(parts, damping)
         g = chain.columns.shape[1]
@@ -526,8 +531,8 @@ class Fit:
         total = sum(map(_square, parts)) + float(np.sum(self._prior(point) ** 2))
         share = 1.0 - (expected + float(np.sum(at_end**2))) / total if total else 0.0
         if damping:
-            return changes, step, share, self._step(point, parts, 0.0)[3]
-        return changes, step, share, bool(share * total <= len(parts) * CLOSE**2 * variance)
+            return changes, step, share, *self._step(point, parts, 0.0)[3:]
+        return changes, step, share, share, bool(share * total <= len(parts) * CLOSE**2 * variance)
 
     def apart_from(self, point, other):
         """(g,) step of delays and numbers from Unknowns to others."""
